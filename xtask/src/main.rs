@@ -20,7 +20,8 @@ mod nightly;
 mod not_possible;
 mod package;
 mod panel;
-mod python;
+mod python_environment;
+mod python_package;
 mod recordings;
 mod reference;
 mod required;
@@ -65,6 +66,7 @@ enum Command {
     Miri(miri::Args),
     Panel(panel::Args),
     Recordings(recordings::Args),
+    Python(python_package::Args),
     Mutants(mutants::Args),
     SameAnswers(same_answers::Args),
     Package(package::Args),
@@ -88,6 +90,7 @@ fn run(cli: &Cli) -> anyhow::Result<()> {
         Command::Miri(_) => miri::run(&workspace),
         Command::Panel(args) => panel::run(&workspace, args),
         Command::Recordings(args) => recordings::run(&workspace, args),
+        Command::Python(args) => python_package::run(&workspace, args),
         Command::Mutants(args) => mutants::run(&workspace, args),
         Command::SameAnswers(args) => same_answers::run(&workspace, args),
         Command::Package(args) => package::run(&workspace, args),

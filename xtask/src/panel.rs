@@ -11,7 +11,7 @@ use anyhow::Context;
 
 use crate::apt::need;
 use crate::not_possible::NotPossible;
-use crate::python;
+use crate::python_environment;
 use crate::workspace::{Workspace, run_visibly};
 
 const TESTS: &str = "tests/panel";
@@ -134,7 +134,7 @@ impl Witness {
 }
 
 fn with_program(workspace: &Workspace, programs: &Path, args: &Args) -> anyhow::Result<()> {
-    let python = python::environment(workspace, "panel-python", TESTS)?;
+    let python = python_environment::environment(workspace, "panel-python", TESTS)?;
     let browser = browser()?;
     let artefacts = workspace.root().join(ARTEFACTS);
     remove(&artefacts)?;

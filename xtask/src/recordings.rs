@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::not_possible::NotPossible;
-use crate::python;
+use crate::python_environment;
 use crate::workspace::{Workspace, run_visibly};
 
 const TESTS: &str = "tests/recordings";
@@ -49,7 +49,7 @@ pub fn check(workspace: &Workspace, programs: Option<&Path>) -> anyhow::Result<(
 }
 
 fn with_program(workspace: &Workspace, programs: &Path, args: &Args) -> anyhow::Result<()> {
-    let python: PathBuf = python::environment(workspace, "recordings-python", TESTS)?;
+    let python: PathBuf = python_environment::environment(workspace, "recordings-python", TESTS)?;
     let cache = format!("cache_dir={}", workspace.target_folder()?.join("recordings-cache").display());
     if args.rerun {
         let mut install = workspace.command(&python);

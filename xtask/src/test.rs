@@ -1,6 +1,6 @@
 //! `cargo xtask test`: all tests of the project.
 
-mod build;
+pub mod build;
 mod emulated;
 mod prove_red;
 mod report;

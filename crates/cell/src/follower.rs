@@ -1,12 +1,12 @@
 //! Tracks one target through a sequence of pairs, with the region that was marked for it.
 
-use image::RgbImage;
 use pb3dp_estimation::estimator::{FramePrior, Tracker};
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::method::EstimateRequest;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
+use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_estimation_core::status::Status;
 
 /// Number of pairs without initialisation after which the target is given up: its region may show something else by then.
@@ -48,14 +48,15 @@ impl Follower {
     ///
     /// # Errors
     /// Images that do not match the calibration, an unsuitable region, a bad range, or no region yet.
-    pub fn look(
+    pub fn look<'a>(
         &mut self,
-        left: &RgbImage,
-        right: &RgbImage,
+        left: impl Into<RgbView<'a>>,
+        right: impl Into<RgbView<'a>>,
         region: Option<&Region>,
         prior: &FramePrior,
         may_continue: &mut dyn FnMut() -> bool,
     ) -> Result<TrackEstimate, EstimationError> {
+        let (left, right) = (left.into(), right.into());
         if let Some(region) = region {
             let estimate = self
                 .tracker

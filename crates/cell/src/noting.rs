@@ -188,6 +188,7 @@ pub fn true_model_frame(
 }
 
 /// Estimate of one pair.
+#[derive(Clone)]
 pub struct PairEstimate {
     /// The pair.
     pub captured: Captured,

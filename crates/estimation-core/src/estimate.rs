@@ -198,6 +198,15 @@ impl PlaneEstimate {
         Some(ModelFrame { cam_left_from_model: frame, covariance })
     }
 
+    /// The point on whose ray a depth is reported, and this depth in metres: `at_px` (raw left image, pixels), or else the centroid of the
+    /// region. No depth as in [`Self::depth_at_pixel`].
+    pub fn point_at(&self, at_px: Option<Vector2<f64>>) -> (Vector2<f64>, Option<f64>) {
+        match at_px {
+            Some(at_px) => (at_px, self.depth_at_pixel(&at_px)),
+            None => (self.centroid_px, self.z_m()),
+        }
+    }
+
     /// Depth of the plane on the ray of a pixel of the raw left image, metres. `None` if there is no pose, if the pixel has no
     /// ray, or if the plane is not in front of the camera there.
     pub fn depth_at_pixel(&self, pixel: &Vector2<f64>) -> Option<f64> {

@@ -10,6 +10,7 @@ pub mod method;
 pub mod model_frame;
 pub mod plane_hypothesis;
 pub mod region;
+pub mod rgb_view;
 pub mod row_offset;
 pub mod status;
 pub mod trig;

@@ -2,7 +2,7 @@
 
 use std::fmt::Debug;
 
-use image::RgbImage;
+use crate::rgb_view::RgbView;
 use nalgebra::{Point3, Vector3};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
@@ -18,9 +18,9 @@ use crate::row_offset::RowMeasurement;
 #[non_exhaustive]
 pub struct EstimateRequest<'a> {
     /// Raw image of the left camera.
-    pub left: &'a RgbImage,
+    pub left: RgbView<'a>,
     /// Raw image of the right camera, exposed at the same time.
-    pub right: &'a RgbImage,
+    pub right: RgbView<'a>,
     /// A new target; `None` keeps the target of the previous request.
     pub target: Option<MarkedTarget<'a>>,
     /// Prior knowledge about a tracked target.
@@ -116,13 +116,20 @@ impl Debug for Deadline<'_> {
 
 impl<'a> EstimateRequest<'a> {
     /// Request for a new target, without a time limit.
-    pub fn of_target(left: &'a RgbImage, right: &'a RgbImage, region: &'a Region, range: &'a SearchRange) -> Self {
+    pub fn of_target(
+        left: impl Into<RgbView<'a>>,
+        right: impl Into<RgbView<'a>>,
+        region: &'a Region,
+        range: &'a SearchRange,
+    ) -> Self {
         let target = Some(MarkedTarget { region, range });
+        let (left, right) = (left.into(), right.into());
         Self { left, right, target, prior: FramePrior::default(), deadline: Deadline::default() }
     }
 
     /// Request for the next frame of the tracked target, without a time limit.
-    pub fn of_next(left: &'a RgbImage, right: &'a RgbImage, prior: &FramePrior) -> Self {
+    pub fn of_next(left: impl Into<RgbView<'a>>, right: impl Into<RgbView<'a>>, prior: &FramePrior) -> Self {
+        let (left, right) = (left.into(), right.into());
         Self { left, right, target: None, prior: *prior, deadline: Deadline::default() }
     }
 
@@ -176,7 +183,7 @@ pub trait EstimationMethod: Debug + Send {
     ///
     /// # Errors
     /// Images that do not match the calibration.
-    fn prepare(&mut self, left: &RgbImage, right: &RgbImage) -> Result<Option<RowMeasurement>, EstimationError> {
+    fn prepare(&mut self, left: RgbView<'_>, right: RgbView<'_>) -> Result<Option<RowMeasurement>, EstimationError> {
         let _ = (left, right);
         Ok(None)
     }

@@ -4,7 +4,8 @@
 //! of the raw left image; integer coordinates are pixel centres. Unusable regions are rejected with a [`RegionError`].
 //! [`Region::inspect`] reports regions that may be unsuitable as [`RegionWarning`]s.
 
-use image::{GrayImage, RgbImage};
+use crate::rgb_view::RgbView;
+use image::GrayImage;
 use nalgebra::Vector2;
 use pb3dp_geometry::ImageSize;
 
@@ -242,9 +243,13 @@ impl Region {
     ///
     /// # Errors
     /// Unusable regions: outside the image, too small, or malformed; see [`RegionError`].
-    pub fn rasterize(&self, left: &RgbImage, config: &RegionConfig) -> Result<RegionMask, RegionError> {
+    pub fn rasterize<'a>(
+        &self,
+        left: impl Into<RgbView<'a>>,
+        config: &RegionConfig,
+    ) -> Result<RegionMask, RegionError> {
         let mut mask = RegionMask::empty(ImageSize { width: 0, height: 0 });
-        self.rasterize_into(left, config, &mut mask)?;
+        self.rasterize_into(left.into(), config, &mut mask)?;
         Ok(mask)
     }
 
@@ -254,7 +259,7 @@ impl Region {
     /// As [`Self::rasterize`]; the contents of the mask are then undefined.
     pub fn rasterize_into(
         &self,
-        left: &RgbImage,
+        left: RgbView<'_>,
         config: &RegionConfig,
         mask: &mut RegionMask,
     ) -> Result<(), RegionError> {
@@ -284,9 +289,14 @@ impl Region {
     }
 
     /// Warnings about the region; `mask` is the result of [`Self::rasterize`] on the same image.
-    pub fn inspect(&self, left: &RgbImage, mask: &RegionMask, config: &RegionConfig) -> Vec<RegionWarning> {
+    pub fn inspect<'a>(
+        &self,
+        left: impl Into<RgbView<'a>>,
+        mask: &RegionMask,
+        config: &RegionConfig,
+    ) -> Vec<RegionWarning> {
         let mut warnings = self.inspect_shape(mask);
-        warnings.extend(appearance_warnings(left, mask, config));
+        warnings.extend(appearance_warnings(left.into(), mask, config));
         warnings
     }
 
@@ -325,7 +335,7 @@ impl Region {
     }
 }
 
-fn size_of(image: &RgbImage) -> ImageSize {
+fn size_of(image: RgbView<'_>) -> ImageSize {
     ImageSize { width: image.width(), height: image.height() }
 }
 
@@ -366,7 +376,7 @@ fn mask_of_image(image: &GrayImage, size: ImageSize) -> Result<(RegionMask, usiz
     Ok((mask, covered_px))
 }
 
-fn click(left: &RgbImage, x: i32, y: i32, config: &RegionConfig) -> Result<RegionMask, RegionError> {
+fn click(left: RgbView<'_>, x: i32, y: i32, config: &RegionConfig) -> Result<RegionMask, RegionError> {
     let size = size_of(left);
     let inside = x >= 0 && y >= 0 && (x as u32) < size.width && (y as u32) < size.height;
     if !inside {
@@ -388,7 +398,7 @@ fn click(left: &RgbImage, x: i32, y: i32, config: &RegionConfig) -> Result<Regio
     Ok(mask)
 }
 
-fn appearance_warnings(left: &RgbImage, mask: &RegionMask, config: &RegionConfig) -> Vec<RegionWarning> {
+fn appearance_warnings(left: RgbView<'_>, mask: &RegionMask, config: &RegionConfig) -> Vec<RegionWarning> {
     let (mut count, mut coloured, mut sum, mut sum_of_squares) = (0_usize, 0_usize, 0.0, 0.0);
     mask.for_each(|x, y| {
         let colour = grow::smooth_colour(left, x, y);

@@ -4,8 +4,8 @@
 //! and `B'` form the saturation-weighted hue vector: linear, with constant noise, never undefined. Equal independent noise of
 //! the three channels stays equal and independent.
 
-use image::RgbImage;
 use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_estimation_core::wide::{LANES, wide};
 
 use super::image_plane::{ImagePlane, PixelWindow};
@@ -71,7 +71,7 @@ impl ColourPlanes {
     }
 
     /// Computes the channels of the part of `window` inside the image.
-    pub fn update(&mut self, image: &RgbImage, window: PixelWindow, wanted: Wanted, kernels: Kernels) {
+    pub fn update(&mut self, image: RgbView<'_>, window: PixelWindow, wanted: Wanted, kernels: Kernels) {
         let window = window.clipped(image.width(), image.height());
         self.resize(window, wanted);
         let stride = image.width() as usize * 3;
@@ -92,7 +92,7 @@ impl ColourPlanes {
 impl ColourPlanes {
     /// Computes the luminance of the part of `window` inside the image at half the size: means of 2 x 2 pixels, and their
     /// flags. The window is given in full-size pixels and starts at even ones.
-    pub fn update_halved(&mut self, image: &RgbImage, window: PixelWindow, kernels: Kernels) {
+    pub fn update_halved(&mut self, image: RgbView<'_>, window: PixelWindow, kernels: Kernels) {
         let full = window.clipped(image.width(), image.height());
         let window = full.halved();
         self.resize(window, Wanted::Luminance);
@@ -249,6 +249,8 @@ fn flag_of(r: u8, g: u8, b: u8) -> u8 {
 
 #[cfg(test)]
 mod tests {
+    use image::RgbImage;
+
     use super::*;
 
     fn image() -> RgbImage {
@@ -260,7 +262,7 @@ mod tests {
         let (image, window) = (image(), PixelWindow { x: 3, y: -2, width: 80, height: 8 });
         for kernels in pb3dp_estimation_test_support::every_kernel() {
             let mut planes = ColourPlanes::default();
-            planes.update(&image, window, Wanted::Colour, kernels);
+            planes.update((&image).into(), window, Wanted::Colour, kernels);
             assert_eq!(planes.window, PixelWindow { x: 3, y: 0, width: 58, height: 6 });
             for (x, y) in [(0usize, 0usize), (17, 3), (57, 5)] {
                 let rgb = image.get_pixel(x as u32 + 3, y as u32).0.map(f32::from);
@@ -270,11 +272,11 @@ mod tests {
                 }
             }
             let mut rgb = ColourPlanes::default();
-            rgb.update(&image, window, Wanted::Rgb, kernels);
+            rgb.update((&image).into(), window, Wanted::Rgb, kernels);
             let pixel = [0, 1, 2].map(|c| rgb.planes[c].row(3)[17]);
             assert_eq!((pixel, &rgb.flags), (image.get_pixel(20, 3).0.map(f32::from), &planes.flags));
             let mut luminance = ColourPlanes::default();
-            luminance.update(&image, window, Wanted::Luminance, kernels);
+            luminance.update((&image).into(), window, Wanted::Luminance, kernels);
             assert_eq!((luminance.luminance(), &luminance.flags), (planes.luminance(), &planes.flags));
             assert_eq!(luminance.planes[1].width(), 0);
         }
@@ -287,7 +289,7 @@ mod tests {
         let image = RgbImage::from_fn(2, 1, |x, _| image::Rgb([0, if x == 0 { 253 } else { 254 }, 9]));
         let mut planes = ColourPlanes::default();
         let window = PixelWindow { x: 0, y: 0, width: 2, height: 1 };
-        planes.update(&image, window, Wanted::Colour, Kernels::best());
+        planes.update((&image).into(), window, Wanted::Colour, Kernels::best());
         assert_eq!(planes.flags, [0, SATURATED]);
     }
 }

@@ -1,6 +1,5 @@
 //! The direct method on single pairs.
 
-use image::RgbImage;
 use nalgebra::{Matrix3, Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::EstimationError;
@@ -8,6 +7,7 @@ use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose,
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, MarkedTarget};
 use pb3dp_estimation_core::plane_hypothesis::{PlaneHypothesis, SearchRange};
 use pb3dp_estimation_core::region::{RegionConfig, RegionMask};
+use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::StereoRig;
 
@@ -121,7 +121,12 @@ impl DirectEstimator {
     ///
     /// # Errors
     /// Images that do not match the calibration.
-    pub fn measure_rows(&mut self, left: &RgbImage, right: &RgbImage) -> Result<RowMeasurement, EstimationError> {
+    pub fn measure_rows<'a>(
+        &mut self,
+        left: impl Into<RgbView<'a>>,
+        right: impl Into<RgbView<'a>>,
+    ) -> Result<RowMeasurement, EstimationError> {
+        let (left, right) = (left.into(), right.into());
         self.front_end.check(left, right)?;
         let measured = measure_rows(&self.front_end, left, right);
         self.rows = measured.rows;
@@ -138,7 +143,7 @@ impl DirectEstimator {
         self.rows = rows;
     }
 
-    fn rows_warning(&self, right: &RgbImage) -> Option<EstimateWarning> {
+    fn rows_warning(&self, right: RgbView<'_>) -> Option<EstimateWarning> {
         let offset_max_px = self.rows.magnitude_max_px(right.width(), right.height());
         (offset_max_px > ROWS_OFF_MAX_PX).then_some(EstimateWarning::RowsOff { offset_max_px })
     }
@@ -228,7 +233,7 @@ impl DirectEstimator {
     /// As [`EstimationMethod::estimate`].
     pub fn plane(&mut self, request: &mut EstimateRequest<'_>) -> Result<PlaneEstimate, EstimationError> {
         let MarkedTarget { region, range } = request.marked()?;
-        let EstimateRequest { left, right, deadline, .. } = request;
+        let EstimateRequest { left, right, ref mut deadline, .. } = *request;
         range.validate()?;
         self.front_end.check(left, right)?;
         region.rasterize_into(left, &self.config.region, &mut self.mask)?;
@@ -301,7 +306,7 @@ impl EstimationMethod for DirectEstimator {
 
     /// Measures the row offset of the rig and uses it from now on; takes some milliseconds. With too few matched points the
     /// offset is zero.
-    fn prepare(&mut self, left: &RgbImage, right: &RgbImage) -> Result<Option<RowMeasurement>, EstimationError> {
+    fn prepare(&mut self, left: RgbView<'_>, right: RgbView<'_>) -> Result<Option<RowMeasurement>, EstimationError> {
         self.measure_rows(left, right).map(Some)
     }
 
@@ -315,8 +320,9 @@ impl EstimationMethod for DirectEstimator {
 const ROWS_OFF_MAX_PX: f64 = 1.5;
 
 /// Whether both images are identical. Two blank images of one colour may be equal and do not count.
-fn is_same_image(left: &RgbImage, right: &RgbImage) -> bool {
-    let shows_something = || left.pixels().any(|pixel| Some(pixel) != left.pixels().next());
+fn is_same_image(left: RgbView<'_>, right: RgbView<'_>) -> bool {
+    let (pixels, _) = left.as_raw().as_chunks::<3>();
+    let shows_something = || pixels.iter().any(|pixel| Some(pixel) != pixels.first());
     left.as_raw() == right.as_raw() && shows_something()
 }
 

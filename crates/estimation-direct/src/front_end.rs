@@ -3,11 +3,11 @@
 //! Images of a rectified rig are used unchanged. Images of any other rig are resampled, window by window, with a cubic kernel
 //! (Keys 1981, a = -1/2), which loses less sharpness than a linear one. The cost depends on the window, not on the image.
 
-use image::RgbImage;
 use nalgebra::Vector2;
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_image_sizes};
 use pb3dp_estimation_core::region::{Coverage, PixelBox, RegionMask};
+use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_estimation_core::row_offset::RowOffset;
 use pb3dp_estimation_core::wide::wide;
 use pb3dp_geometry::frames::{CamLeft, CamLeftRect};
@@ -138,7 +138,7 @@ impl StereoFrontEnd {
     ///
     /// # Errors
     /// An error with the camera and both sizes.
-    pub fn check(&self, left: &RgbImage, right: &RgbImage) -> Result<(), EstimationError> {
+    pub fn check(&self, left: RgbView<'_>, right: RgbView<'_>) -> Result<(), EstimationError> {
         check_image_sizes(&self.raw, left, right)
     }
 
@@ -182,7 +182,7 @@ impl StereoFrontEnd {
 
     /// Loads the channels of the part of `window` (rectified pixels) inside the rectified image of a camera. `raw` is the
     /// unmodified image, with the size verified by [`Self::check`].
-    pub fn load(&self, side: Side, raw: &RgbImage, window: PixelWindow, wanted: Wanted, out: &mut ColourPlanes) {
+    pub fn load(&self, side: Side, raw: RgbView<'_>, window: PixelWindow, wanted: Wanted, out: &mut ColourPlanes) {
         match &self.maps {
             None => out.update(raw, window, wanted, self.kernels),
             Some(maps) => resample(&maps[side as usize], raw, window, wanted, self.kernels, out),
@@ -195,7 +195,7 @@ impl StereoFrontEnd {
     pub(super) fn load_halved(
         &self,
         side: Side,
-        raw: &RgbImage,
+        raw: RgbView<'_>,
         window: PixelWindow,
         halvings: usize,
         wanted: Wanted,
@@ -240,7 +240,7 @@ impl StereoFrontEnd {
     pub(super) fn load_reduced(
         &self,
         side: Side,
-        raw: &RgbImage,
+        raw: RgbView<'_>,
         window: PixelWindow,
         unit: usize,
         wanted: Wanted,
@@ -368,6 +368,7 @@ fn halve_flags_row_kernel(upper: &[u8], lower: &[u8], out: &mut [u8]) {
 
 #[cfg(test)]
 mod tests {
+    use image::RgbImage;
     use nalgebra::Vector3;
     use pb3dp_estimation_test_support::every_kernel;
     use pb3dp_geometry::Distortion;
@@ -406,7 +407,7 @@ mod tests {
         let left = paint(rig.left(), |ray| *ray);
         let mut planes = ColourPlanes::default();
         let window = PixelWindow { x: 90, y: 60, width: 120, height: 110 };
-        front.load(Side::Left, &left, window, Wanted::Colour, &mut planes);
+        front.load(Side::Left, (&left).into(), window, Wanted::Colour, &mut planes);
         let back = front.cam_left_rect_from_cam_left().inverse();
         let (mut worst, mut seen) = (0.0_f64, 0);
         for (x, y) in (0..120).flat_map(|x| (0..110).map(move |y| (x, y))).filter(|(x, y)| (x + y) % 7 == 0) {
@@ -431,7 +432,7 @@ mod tests {
         let left = paint(rig.left(), |ray| *ray);
         let mut planes = ColourPlanes::default();
         let window = PixelWindow { x: 310, y: 10, width: 40, height: 5 };
-        front.load(Side::Left, &left, window, Wanted::Luminance, &mut planes);
+        front.load(Side::Left, (&left).into(), window, Wanted::Luminance, &mut planes);
         assert_eq!(planes.window.width, 10);
         let pixel = left.get_pixel(313, 12).0;
         let sum: f32 = pixel.iter().map(|&c| f32::from(c)).sum();
@@ -503,7 +504,7 @@ mod tests {
     #[test]
     fn images_of_another_size_are_refused() {
         let front = StereoFrontEnd::new(&rig(false), Kernels::best()).unwrap();
-        let error = front.check(&RgbImage::new(320, 240), &RgbImage::new(320, 239)).unwrap_err();
+        let error = front.check((&RgbImage::new(320, 240)).into(), (&RgbImage::new(320, 239)).into()).unwrap_err();
         assert!(error.to_string().starts_with("the right image is 320x239"), "{error}");
     }
 }

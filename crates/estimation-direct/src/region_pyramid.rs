@@ -5,10 +5,10 @@
 //! pair's [`RowOffset`] when they are loaded. Equal grid rows then correspond on every level, up to the error of the row
 //! offset.
 
-use image::RgbImage;
 use nalgebra::Vector2;
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::region::{PixelBox, RegionMask};
+use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_estimation_core::wide::wide;
 
 use super::colour_planes::{ColourPlanes, UNSEEN, Wanted};
@@ -38,9 +38,9 @@ const DISPARITY_MAX_PX: f64 = 1e9;
 #[derive(Clone, Copy, Debug)]
 pub struct PyramidSource<'a> {
     /// Raw left image.
-    pub left: &'a RgbImage,
+    pub left: RgbView<'a>,
     /// Raw right image.
-    pub right: &'a RgbImage,
+    pub right: RgbView<'a>,
     /// The region in the rectified left image.
     pub region: &'a RegionMask,
     /// Disparities that the right window must cover, pixels: lowest and highest.
@@ -313,7 +313,7 @@ impl RegionPyramid {
 #[derive(Clone, Copy)]
 struct CameraImage<'a> {
     side: Side,
-    raw: &'a RgbImage,
+    raw: RgbView<'a>,
     wanted: Wanted,
     halvings: usize,
 }
@@ -401,6 +401,7 @@ pub fn is_seen(flags: u8) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use image::RgbImage;
     use nalgebra::Vector3;
     use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
 
@@ -430,9 +431,10 @@ mod tests {
         let front_end = front_end();
         let size = front_end.size(Side::Left);
         let region = RegionMask::from_fn(size, |x, y| (121..201).contains(&x) && (50..110).contains(&y) && x + y > 190);
+        let (left, right) = (ramp(0.0), ramp(offset));
         let source = PyramidSource {
-            left: &ramp(0.0),
-            right: &ramp(offset),
+            left: (&left).into(),
+            right: (&right).into(),
             region: &region,
             disparity_px: DisparityRange { lowest: 5.0, highest: 40.0 },
             rows,

@@ -10,8 +10,8 @@ mod source;
 #[cfg(test)]
 mod tests;
 
-use image::RgbImage;
 use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_estimation_core::wide::wide;
 use pb3dp_geometry::maps::PixelMap;
 
@@ -64,7 +64,7 @@ wide! {
 /// Fills the part of a window inside the destination image from the whole raw image.
 pub(super) fn resample(
     map: &PixelMap,
-    raw: &RgbImage,
+    raw: RgbView<'_>,
     window: PixelWindow,
     wanted: Wanted,
     kernels: Kernels,
@@ -78,7 +78,7 @@ pub(super) fn resample(
 #[allow(clippy::too_many_arguments, reason = "image, map, window and buffers")]
 pub(super) fn resample_reduced(
     map: &PixelMap,
-    raw: &RgbImage,
+    raw: RgbView<'_>,
     window: PixelWindow,
     scale: usize,
     wanted: Wanted,

@@ -3,10 +3,10 @@
 //! A hue is a 16-bit angle, 65536 steps per turn, so subtraction wraps automatically: 359 degrees and 1 degree are neighbours.
 //! The lowest bit indicates whether the pixel has a hue, which leaves steps of 0.011 degrees.
 
-use image::RgbImage;
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_range};
 use pb3dp_estimation_core::ranges;
+use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_estimation_core::wide::wide;
 
 /// Number of padding elements before and after the pixels, so that kernels may read a whole vector at either end.
@@ -104,14 +104,15 @@ pub struct HuePlane {
 
 impl HuePlane {
     /// Computes the hues of an image with the fastest kernels of this processor.
-    pub fn from_rgb(rgb: &RgbImage, config: &HueConfig) -> Self {
+    pub fn from_rgb<'a>(rgb: impl Into<RgbView<'a>>, config: &HueConfig) -> Self {
         let mut plane = Self::default();
         plane.update_from_rgb(rgb, config, Kernels::best());
         plane
     }
 
     /// Recomputes the plane; allocates only if the image has grown.
-    pub fn update_from_rgb(&mut self, rgb: &RgbImage, config: &HueConfig, kernels: Kernels) {
+    pub fn update_from_rgb<'a>(&mut self, rgb: impl Into<RgbView<'a>>, config: &HueConfig, kernels: Kernels) {
+        let rgb = rgb.into();
         (self.width, self.height) = (rgb.width() as usize, rgb.height() as usize);
         let pixels = self.width * self.height;
         if self.data.len() != pixels + 2 * PAD {

@@ -1,7 +1,7 @@
 //! The required window of one raw image, as a pyramid with fast sub-pixel sampling.
 
-use image::RgbImage;
 use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_estimation_core::wide::wide;
 use pb3dp_estimation_direct::colour_planes::{OPPONENT_FROM_RGB, SATURATED_FROM};
 use pb3dp_estimation_direct::image_plane::PixelWindow;
@@ -47,7 +47,7 @@ pub(super) struct CameraImages {
 
 impl CameraImages {
     /// Loads the part of `window` inside the image; allocates only if no previous window was as large.
-    pub(super) fn update(&mut self, image: &RgbImage, window: PixelWindow, kernels: Kernels) {
+    pub(super) fn update(&mut self, image: RgbView<'_>, window: PixelWindow, kernels: Kernels) {
         let window = aligned(window).clipped(image.width(), image.height());
         self.window = window;
         self.full.copy(image, window);
@@ -145,7 +145,7 @@ impl TexelPlane {
 }
 
 impl RgbPlane {
-    fn copy(&mut self, image: &RgbImage, window: PixelWindow) {
+    fn copy(&mut self, image: RgbView<'_>, window: PixelWindow) {
         (self.width, self.height) = (window.width, window.height);
         let (row, bytes) = (3 * window.width, 3 * window.width * window.height + PADDING);
         if self.rgb.len() < bytes {

@@ -323,7 +323,7 @@ mod tests {
         let image =
             RgbImage::from_fn(SIZE.width, SIZE.height, |x, y| Rgb([paint(f64::from(x), f64::from(y)) as u8; 3]));
         let mut left = CameraImages::default();
-        left.update(&image, PixelWindow { x: 0, y: 0, width: 320, height: 240 }, Kernels::best());
+        left.update((&image).into(), PixelWindow { x: 0, y: 0, width: 320, height: 240 }, Kernels::best());
         let region = RegionMask::from_fn(SIZE, |x, y| (80..240).contains(&x) && (60..180).contains(&y));
         let pose = Pose::from_translation(Vector3::new(0.0, 0.0, 0.5));
         let search = PeriodSearch { left: &left, region: &region, camera: &camera, cam_left_from_model: &pose };

@@ -2,7 +2,6 @@
 
 use std::fmt::Write;
 
-use image::RgbImage;
 use nalgebra::{Matrix6, Point3, Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_image_sizes};
@@ -10,6 +9,7 @@ use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose,
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, FramePrior, MarkedTarget, SurfacePoint};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::{Region, RegionConfig, RegionMask};
+use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
 use pb3dp_estimation_direct::image_plane::PixelWindow;
@@ -197,13 +197,14 @@ impl DirectTracker {
     ///
     /// # Errors
     /// Images that do not match the calibration, or an unsuitable region.
-    pub fn start_from_plane(
+    pub fn start_from_plane<'a>(
         &mut self,
-        left: &RgbImage,
-        right: &RgbImage,
+        left: impl Into<RgbView<'a>>,
+        right: impl Into<RgbView<'a>>,
         region: &Region,
         plane: &PlanePose,
     ) -> Result<TrackEstimate, EstimationError> {
+        let (left, right) = (left.into(), right.into());
         self.target = None;
         self.was_started = true;
         check_image_sizes(&self.rig, left, right)?;
@@ -242,8 +243,8 @@ impl DirectTracker {
     /// A target with points in the `inner` pixels of a region, near a plane; `None` if there are too few.
     fn first_target(
         &mut self,
-        left: &RgbImage,
-        right: &RgbImage,
+        left: RgbView<'_>,
+        right: RgbView<'_>,
         outline_px: &[Vector2<f64>],
         mask: &RegionMask,
         inner: &RegionMask,
@@ -265,7 +266,7 @@ impl DirectTracker {
     /// Points of the first left image, and the pose of the model frame; `None` if there are too few.
     fn first_surface(
         &mut self,
-        left: &RgbImage,
+        left: RgbView<'_>,
         mask: &RegionMask,
         inner: &RegionMask,
         q: Vector3<f64>,
@@ -300,7 +301,7 @@ impl DirectTracker {
         request: &mut EstimateRequest<'_>,
         estimate: &mut TrackEstimate,
     ) -> Result<(), EstimationError> {
-        let EstimateRequest { left, right, prior, deadline, .. } = request;
+        let EstimateRequest { left, right, ref prior, ref mut deadline, .. } = *request;
         check_image_sizes(&self.rig, left, right)?;
         let Some(mut target) = self.target.take() else {
             if !self.was_started {
@@ -324,8 +325,8 @@ impl DirectTracker {
     fn follow(
         &mut self,
         target: &mut Target,
-        left: &RgbImage,
-        right: &RgbImage,
+        left: RgbView<'_>,
+        right: RgbView<'_>,
         prior: &FramePrior,
         may_continue: &mut dyn FnMut() -> bool,
     ) -> Ending {
@@ -373,7 +374,7 @@ impl DirectTracker {
     }
 
     /// Stores the parts of both images that contained the target in its last pose.
-    fn remember(&mut self, target: &Target, left: &RgbImage, right: &RgbImage) {
+    fn remember(&mut self, target: &Target, left: RgbView<'_>, right: RgbView<'_>) {
         let pose = target.estimate.cam_left_from_model;
         let right_pose = *self.rig.cam_right_from_cam_left() * pose;
         let cameras = [(left, self.rig.left(), pose.isometry()), (right, self.rig.right(), right_pose.isometry())];
@@ -383,7 +384,7 @@ impl DirectTracker {
     }
 
     /// Converts whole images.
-    fn load_whole(&mut self, left: &RgbImage, right: &RgbImage) {
+    fn load_whole(&mut self, left: RgbView<'_>, right: RgbView<'_>) {
         for (images, image) in self.images.iter_mut().zip([left, right]) {
             let (width, height) = (image.width() as usize, image.height() as usize);
             images.update(image, PixelWindow { x: 0, y: 0, width, height }, self.kernels);
@@ -393,8 +394,8 @@ impl DirectTracker {
     /// Converts the windows around the predicted target.
     fn load(
         &mut self,
-        left: &RgbImage,
-        right: &RgbImage,
+        left: RgbView<'_>,
+        right: RgbView<'_>,
         pose: &Pose<CamLeft, Model>,
         outline: &[Point3<f64>],
         margin: u32,

@@ -3,9 +3,9 @@
 use std::fmt;
 use std::str::FromStr;
 
-use image::RgbImage;
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::{PlaneEstimate, TrackEstimate};
+use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
 use pb3dp_estimation_published::estimator::PublishedConfig;
 use pb3dp_estimation_track::DirectTrackerConfig;
@@ -149,8 +149,12 @@ impl Estimator {
     ///
     /// # Errors
     /// Images that do not match the calibration.
-    pub fn prepare(&mut self, left: &RgbImage, right: &RgbImage) -> Result<Option<RowMeasurement>, EstimationError> {
-        self.inner.prepare(left, right)
+    pub fn prepare<'a>(
+        &mut self,
+        left: impl Into<RgbView<'a>>,
+        right: impl Into<RgbView<'a>>,
+    ) -> Result<Option<RowMeasurement>, EstimationError> {
+        self.inner.prepare(left.into(), right.into())
     }
 
     /// Uses a result of [`Self::prepare`] from another pair of the same rig or scene.

@@ -38,8 +38,8 @@ fn take(pair: &Pair, kernels: Kernels) -> Taken {
 
 fn source<'a>(pair: &'a Pair, region: &'a RegionMask, geometry: &RectifiedGeometry) -> PyramidSource<'a> {
     PyramidSource {
-        left: &pair.left,
-        right: &pair.right,
+        left: (&pair.left).into(),
+        right: (&pair.right).into(),
         region,
         disparity_px: DisparityRange {
             lowest: geometry.disparity_px(0.9).floor(),

@@ -20,8 +20,8 @@ fn a_second_refinement_allocates_nothing() {
     let region = RegionMask::from_fn(SIZE, |x, y| pair.region[(y * SIZE.width + x) as usize]);
     let mut pyramid = RegionPyramid::default();
     let source = PyramidSource {
-        left: &pair.left,
-        right: &pair.right,
+        left: (&pair.left).into(),
+        right: (&pair.right).into(),
         region: &region,
         disparity_px: DisparityRange { lowest: g.disparity_px(0.9).floor(), highest: g.disparity_px(0.35).ceil() },
         rows: RowOffset::default(),

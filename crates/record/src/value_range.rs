@@ -122,6 +122,11 @@ impl DeepImage {
         fits.then_some(Self { size, channels, values })
     }
 
+    /// All values, row by row.
+    pub fn values(&self) -> &[u16] {
+        &self.values
+    }
+
     /// Whether it has one channel.
     pub fn is_grey(&self) -> bool {
         self.channels == 1

@@ -26,6 +26,11 @@ use pb3dp_servo::supervisor::{Confidence, EstimateInput, FrameInput, OperatorCom
 /// Names of the arms in messages.
 pub const ARM_NAMES: [&str; 2] = ["vs-robot", "tc-robot"];
 
+/// A time that can be subtracted. Clocks of runs are below 2^62 nanoseconds, 146 years.
+pub fn signed(nanos: u64) -> i64 {
+    i64::try_from(nanos).unwrap_or(i64::MAX).min(i64::MAX / 2)
+}
+
 /// Whether all numbers are the same to the bit.
 pub fn same_bits(one: &[f64], other: &[f64]) -> bool {
     one.len() == other.len() && one.iter().zip(other).all(|(a, b)| a.to_bits() == b.to_bits())

@@ -15,6 +15,7 @@ mod head;
 pub mod pairs;
 pub mod replay;
 pub mod run;
+pub mod series;
 mod steps;
 pub mod stops;
 mod tap;

@@ -42,6 +42,18 @@ pub fn read_estimator(file: &Path) -> Result<EstimatorConfig, ConfigError> {
     Ok(found.unwrap_or_default())
 }
 
+/// Parameters of the methods: of this file, or the documented defaults; with this seed of the search, if there is one.
+///
+/// # Errors
+/// As [`read_estimator`].
+pub fn estimator_config(file: Option<&Path>, seed: Option<u64>) -> Result<EstimatorConfig, ConfigError> {
+    let mut config = file.map_or_else(|| Ok(EstimatorConfig::default()), read_estimator)?;
+    if let Some(seed) = seed {
+        config.published.rmga.seed = seed;
+    }
+    Ok(config)
+}
+
 /// Parameters of the published method.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]

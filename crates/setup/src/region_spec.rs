@@ -132,18 +132,20 @@ pub fn load_region(spec: &RegionSpec, images: ImageSize) -> Result<Region> {
         RegionSpec::Polygon(vertices) => {
             Region::Polygon { vertices_px: vertices.iter().map(|&[u, v]| Vector2::new(u, v)).collect() }
         }
-        RegionSpec::Mask(file) => {
-            let mask = load_mask(file, images)?;
-            if mask.pixels().all(|pixel| pixel.0[0] > 0) {
-                bail!(
-                    "{}: the mask has no black pixel, so everything would be the object: is it a mask?",
-                    file.display()
-                );
-            }
-            Region::Mask(mask)
-        }
+        RegionSpec::Mask(file) => region_of_mask(&file.display().to_string(), load_mask(file, images)?)?,
         RegionSpec::Click([x, y]) => Region::Click { x: x.round() as i32, y: y.round() as i32 },
     })
+}
+
+/// The region of a mask; `name` stands for it in messages.
+///
+/// # Errors
+/// A mask that marks everything.
+pub fn region_of_mask(name: &str, mask: GrayImage) -> Result<Region> {
+    if mask.pixels().all(|pixel| pixel.0[0] > 0) {
+        bail!("{name}: the mask has no black pixel, so everything would be the object: is it a mask?");
+    }
+    Ok(Region::Mask(mask))
 }
 
 fn load_mask(file: &Path, images: ImageSize) -> Result<GrayImage> {

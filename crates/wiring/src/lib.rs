@@ -51,6 +51,7 @@ use pb3dp_cell::parts::{EmulatedArm, LinkMonitor, Parts};
 use pb3dp_cell::paths::check_paths;
 use pb3dp_cell::perception::{Marking, NOT_MARKED, Sight};
 use pb3dp_cell::selection::Selections;
+use pb3dp_cell::stepped::{SteppedRun, check_simulated};
 use pb3dp_setup::region_spec::load_region;
 use pb3dp_setup::setup::{Carrier, Pace, Setup};
 
@@ -115,6 +116,17 @@ pub fn wire_run(setup: &Setup, needs: &RunNeeds) -> Result<Wired> {
 /// As [`wire`].
 pub fn wire_with(setup: &Setup, video: Arc<dyn VideoSystem>) -> Result<Wired> {
     wire_experiment(setup, &RunNeeds::default(), video)
+}
+
+/// A simulated run of the setup that its caller steps, with the experiment of the setup, or the first seconds of it.
+///
+/// # Errors
+/// As [`wire`]; arms or cameras that are not simulated, before anything is opened.
+pub fn wire_stepped(setup: Setup, stop_after_s: Option<f64>) -> Result<SteppedRun> {
+    check_simulated(&setup)?;
+    let needs = RunNeeds { until_s: stop_after_s, selects_targets: false };
+    let parts = wire_run(&setup, &needs)?.parts;
+    SteppedRun::start(setup, parts, stop_after_s)
 }
 
 fn wire_experiment(setup: &Setup, needs: &RunNeeds, video: Arc<dyn VideoSystem>) -> Result<Wired> {
@@ -321,11 +333,21 @@ mod tests {
 
     use super::*;
 
+    fn setup_of(name: &str) -> Setup {
+        let file = format!("{}/../../configs/{name}.toml", env!("CARGO_MANIFEST_DIR"));
+        read_setup(std::path::Path::new(&file)).unwrap()
+    }
+
+    /// The simulated cell without images.
+    fn without_images() -> Setup {
+        let mut setup = setup_of("sim");
+        (setup.leader, setup.compared) = (Leader::Geometric(setup.geometric.unwrap()), Vec::new());
+        setup
+    }
+
     /// Frames from the cameras without images in 60 periods, about half of which a fault drops.
     fn delivered(seed: u64) -> Vec<GeometricFrame> {
-        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml");
-        let mut setup = read_setup(std::path::Path::new(file)).unwrap();
-        (setup.leader, setup.compared) = (Leader::Geometric(setup.geometric.unwrap()), Vec::new());
+        let mut setup = without_images();
         let kind = CameraFaultKind::Dropped { share: 0.5 };
         setup.world.as_mut().unwrap().faults.list =
             vec![CameraFault { kind, from: Duration::ZERO, until: Duration::from_secs(3600) }];
@@ -343,5 +365,31 @@ mod tests {
             assert_ne!(sequences(seed), of_file, "seed {seed} drops the frames of seed 1");
             assert_eq!(format!("{:?}", delivered(seed)), format!("{:?}", delivered(seed)), "seed {seed}");
         }
+    }
+
+    #[test]
+    fn a_stepped_run_is_the_run_that_is_not_stepped() {
+        let setup = without_images();
+        let outcome = pb3dp_cell::experiment::run(&setup, wire(&setup).unwrap(), Some(1.5), None).unwrap();
+        let whole: Vec<_> = outcome.log.control.iter().map(|sample| (sample.world_from_hand, sample.arms)).collect();
+        let mut run = wire_stepped(setup, Some(1.5)).unwrap();
+        let mut stepped = Vec::new();
+        while let Some(step) = run.step().unwrap() {
+            stepped.push((step.poses.unwrap().world_from_hand, step.moved.arms));
+        }
+        assert!(stepped == whole && stepped.len() == 151, "{} and {} steps", stepped.len(), whole.len());
+        assert!(run.step().unwrap().is_none() && run.end().unwrap().is_none());
+    }
+
+    #[test]
+    fn a_stepped_run_refuses_what_is_not_simulated_and_can_be_left() {
+        let refused = wire_stepped(setup_of("rig"), None).err().unwrap().to_string();
+        assert!(refused.contains("arms that are not simulated"), "{refused}");
+        let mut run = wire_stepped(without_images(), None).unwrap();
+        assert_eq!(run.step().unwrap().unwrap().moved.number, 0);
+        drop(run);
+        let mut run = wire_stepped(without_images(), None).unwrap();
+        assert!(run.push_target(nalgebra::Vector3::x(), 0.0).is_err());
+        assert!(run.end().unwrap().is_some() && run.step().unwrap().is_none());
     }
 }

@@ -246,6 +246,21 @@ const ALLOWED: [(&str, &[&str]); 42] = [
             "arm-pa10-emulation",
         ],
     ),
+    (
+        "python",
+        &[
+            "geometry",
+            "estimation-core",
+            "estimation",
+            "record",
+            "recording",
+            "hal-api",
+            "hal-platform",
+            "setup",
+            "cell",
+            "wiring",
+        ],
+    ),
 ];
 
 /// Additional packages for tests of any package.
@@ -289,8 +304,8 @@ const SEES_NOTHING: &str = "xtask";
 const MEASURES_ALL: &str = "benchmarks";
 
 /// Packages that may serialise and deserialise structures.
-const SERDE_USERS: [&str; 9] =
-    ["setup", "cell", "panel", "commissioning", "orchestrator", "record", "bag", "benchmarks", "calibration"];
+const SERDE_USERS: [&str; 10] =
+    ["setup", "cell", "panel", "commissioning", "orchestrator", "python", "record", "bag", "benchmarks", "calibration"];
 const SERDE_CRATES: [&str; 6] = ["serde", "serde_json", "serde-saphyr", "toml", "figment", "serde_derive"];
 
 /// Lets tests disable safeguards: only a build of a test may enable it, by name.

@@ -71,6 +71,7 @@ const WORLDS: [World; 6] = [
             "crates/cell/src/live.rs",
             "crates/cell/src/machine.rs",
             "crates/cell/src/paced_clock.rs",
+            "crates/cell/src/stepped.rs",
             "crates/cell/src/terminal.rs",
             "crates/panel/src/panel.rs",
             "crates/panel/src/reporting.rs",

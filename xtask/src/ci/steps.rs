@@ -10,7 +10,10 @@ use anyhow::{Context, anyhow, bail};
 use super::changes::Changes;
 use super::space;
 use crate::workspace::{Workspace, run_visibly};
-use crate::{check_deps, commissioning, fuzz_build, licences, miri, msrv, panel, recordings, required, test, tidy, vm};
+use crate::{
+    check_deps, commissioning, fuzz_build, licences, miri, msrv, panel, python_package, recordings, required, test,
+    tidy, vm,
+};
 
 /// Context of the steps.
 pub struct Progress<'a> {
@@ -98,7 +101,7 @@ const FUZZED: &[&str] = &["pb3dp-estimation", "pb3dp-arm-pa10-test-support"];
 const MANIFESTS: &[&str] = &["manifests"];
 
 /// The steps, the fastest first.
-pub const STEPS: [Step; 18] = [
+pub const STEPS: [Step; 19] = [
     Step { name: "space", of: ALWAYS, run: |progress| space::check(progress.workspace) },
     Step { name: "fmt", of: ALWAYS, run: |progress| fmt(progress.workspace) },
     Step { name: "tidy", of: ALWAYS, run: |progress| tidy::run(progress.workspace, &tidy::Args {}) },
@@ -119,6 +122,11 @@ pub const STEPS: [Step; 18] = [
         name: "recordings",
         of: &["pb3dp-bag", "pb3dp-recording", "pb3dp-camera-replay", "pb3dp-orchestrator"],
         run: |progress| recordings::check(progress.workspace, progress.programs()),
+    },
+    Step {
+        name: "python",
+        of: &["pb3dp-python", "pb3dp-orchestrator"],
+        run: |progress| python_package::check(progress.workspace, progress.programs()),
     },
     Step { name: "accuracy", of: &["pb3dp-benchmarks"], run: accuracy },
     Step { name: "vm", of: &["pb3dp-arm-pa10-emulation", "pb3dp-camera-v4l2", "system-tests"], run: guests },

@@ -183,8 +183,8 @@ impl<'a> StageBench<'a> {
         let (search, kernels) = (&config.cold_start.search, *kernels);
         let Problem { left, right, rows, .. } = *problem;
         let source = PyramidSource {
-            left,
-            right,
+            left: left.into(),
+            right: right.into(),
             region: &self.mask,
             disparity_px: self.disparity_px,
             rows,

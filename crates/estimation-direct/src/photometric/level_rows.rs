@@ -244,7 +244,7 @@ mod tests {
             let grid = Grid { scale, first: (x, 8), size, rows };
             let (mut whole, mut shifted) = (ColourPlanes::default(), ColourPlanes::default());
             let window = PixelWindow { x, y: 0, width: 100 - x as usize, height: 80 };
-            whole.update(&image, window, Wanted::Rgb, Kernels::best());
+            whole.update((&image).into(), window, Wanted::Rgb, Kernels::best());
             if let Some(rows) = &rows {
                 shift_rows(&whole, rows, Kernels::best(), &mut shifted);
                 whole = shifted;

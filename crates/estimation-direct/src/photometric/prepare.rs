@@ -9,8 +9,8 @@
 
 use std::ops::Range;
 
-use image::RgbImage;
 use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_estimation_core::wide::wide;
 
 use super::super::colour_planes::{ColourPlanes, SATURATED, SATURATED_FROM, UNSEEN, Wanted};
@@ -141,7 +141,7 @@ pub(super) fn rows_of(bounds: &PixelWindow, shift: i32, part: &PixelWindow) -> (
 struct Job<'a> {
     front_end: &'a StereoFrontEnd,
     side: Side,
-    image: &'a RgbImage,
+    image: RgbView<'a>,
     request: &'a ChannelRequest,
     grid: Grid,
     /// Side of the squares that are read, pixels: they are the pixels of the grid.
@@ -311,7 +311,7 @@ impl Preparation {
         } else {
             let (stride, rows) = (job.image.width() as usize * 3, job.image.height() as usize);
             let start = job.grid.first.0 as usize * 3;
-            let source = ImageRows { values: job.image.as_raw().as_slice(), stride, start, top: 0, rows };
+            let source = ImageRows { values: job.image.as_raw(), stride, start, top: 0, rows };
             average_colours(kernels, &source, &job.grid, &mut self.means);
             self.smooth(job, 0, &mut out.planes);
         }

@@ -1,8 +1,8 @@
 //! The values that are interpolated: those of a raw image, or sums over squares of its pixels.
 
-use image::RgbImage;
 use nalgebra::Vector2;
 use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_estimation_core::wide::wide;
 use pb3dp_geometry::maps::PixelMap;
 
@@ -64,7 +64,7 @@ pub struct RawImage<'a, T> {
 }
 
 impl<'a> RawImage<'a, u8> {
-    pub fn new(image: &'a RgbImage) -> Self {
+    pub fn new(image: RgbView<'a>) -> Self {
         let (width, height) = (image.width() as usize, image.height() as usize);
         Self { values: image.as_raw(), width, height, first: [0; 2], share: 1.0 }
     }
@@ -95,7 +95,7 @@ pub struct ReducedImage {
 impl ReducedImage {
     /// Sums over squares of side `scale`, for the part of `raw` that the pixels of `window` show; `map` is between images
     /// reduced by `scale`.
-    pub fn update(&mut self, map: &PixelMap, raw: &RgbImage, window: &PixelWindow, scale: usize, kernels: Kernels) {
+    pub fn update(&mut self, map: &PixelMap, raw: RgbView<'_>, window: &PixelWindow, scale: usize, kernels: Kernels) {
         let part = source_box(map, window);
         (self.size, self.first, self.scale) = ((part.width, part.height), [part.x, part.y], scale);
         // Room for the taps of the last pixels.

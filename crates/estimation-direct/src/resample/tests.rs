@@ -1,3 +1,4 @@
+use image::RgbImage;
 use nalgebra::{Vector2, Vector3};
 use pb3dp_estimation_test_support::every_kernel;
 use pb3dp_geometry::frames::{CamLeft, CamLeftRect};
@@ -91,7 +92,7 @@ fn windows_agree_with_the_plain_path_of_the_whole_image() {
         let raw = image(saturated);
         let reference = plain(&map, &raw);
         let mut out = ColourPlanes::default();
-        resample(&map, &raw, WHOLE, Wanted::Rgb, Kernels::best(), &mut out);
+        resample(&map, (&raw).into(), WHOLE, Wanted::Rgb, Kernels::best(), &mut out);
         let (mut seen, mut other) = (0, 0);
         for (i, expected) in reference.iter().enumerate() {
             let flags = out.flags[i];
@@ -122,12 +123,12 @@ fn any_window_is_a_part_of_the_whole_image_with_every_kernel() {
     for (name, map) in maps() {
         for wanted in [Wanted::Rgb, Wanted::Colour, Wanted::Luminance] {
             let mut whole = ColourPlanes::default();
-            resample(&map, &raw, WHOLE, wanted, Kernels::best(), &mut whole);
+            resample(&map, (&raw).into(), WHOLE, wanted, Kernels::best(), &mut whole);
             let mut first: Option<ColourPlanes> = None;
             for kernels in every_kernel() {
                 let mut part = ColourPlanes::default();
                 let window = PixelWindow { x: 37, y: 151, width: 141, height: 500 };
-                resample(&map, &raw, window, wanted, kernels, &mut part);
+                resample(&map, (&raw).into(), window, wanted, kernels, &mut part);
                 let (x, y) = (part.window.x as usize, part.window.y as usize);
                 assert_eq!((part.window.width, part.window.height), (141, 110));
                 let mut worst = 0.0_f32;
@@ -174,7 +175,7 @@ fn reduced_windows_agree_with_means_of_the_raw_image_with_every_kernel() {
         let mut first: Option<ColourPlanes> = None;
         for kernels in every_kernel() {
             let (mut reduced, mut out) = (ReducedImage::default(), ColourPlanes::default());
-            resample_reduced(&map, &raw, window, scale as usize, Wanted::Rgb, kernels, &mut reduced, &mut out);
+            resample_reduced(&map, (&raw).into(), window, scale as usize, Wanted::Rgb, kernels, &mut reduced, &mut out);
             let first = first.get_or_insert_with(|| out.clone());
             assert!(bits(first) == bits(&out) && first.flags == out.flags, "{name} {}", kernels.set().name());
         }
@@ -238,7 +239,7 @@ fn tiny_images_have_no_pixel_with_all_neighbours() {
         let map = PixelMap::rotate(&camera, &camera, &Pose::<CamLeftRect, CamLeft>::coincident());
         let raw = RgbImage::from_pixel(width, height, image::Rgb([90, 80, 70]));
         let mut out = ColourPlanes::default();
-        resample(&map, &raw, WHOLE, Wanted::Rgb, Kernels::best(), &mut out);
+        resample(&map, (&raw).into(), WHOLE, Wanted::Rgb, Kernels::best(), &mut out);
         assert_eq!(out.flags.len(), (width * height) as usize);
         for (i, flag) in out.flags.iter().enumerate().filter(|(_, flag)| **flag == 0) {
             let (x, y) = (i as u32 % width, i as u32 / width);

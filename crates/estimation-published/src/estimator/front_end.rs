@@ -6,6 +6,7 @@ use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::plane_hypothesis::PinholePair;
 use pb3dp_estimation_core::region::RegionMask;
+use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_geometry::maps::RemapTable;
 use pb3dp_geometry::{Camera, Distortion, ImageSize, StereoRig};
 
@@ -40,7 +41,7 @@ impl FrontEnd {
     }
 
     /// Loads a pair of raw images.
-    pub(super) fn load(&mut self, left: &RgbImage, right: &RgbImage) -> Result<(), EstimationError> {
+    pub(super) fn load(&mut self, left: RgbView<'_>, right: RgbView<'_>) -> Result<(), EstimationError> {
         self.left.check_size(left)?;
         self.right.check_size(right)?;
         self.left.load(left, &self.hue_config, self.kernels)?;
@@ -48,7 +49,7 @@ impl FrontEnd {
     }
 
     /// Rejects a left image with a size other than the calibration's.
-    pub(super) fn check_left_size(&self, left: &RgbImage) -> Result<(), EstimationError> {
+    pub(super) fn check_left_size(&self, left: RgbView<'_>) -> Result<(), EstimationError> {
         self.left.check_size(left)
     }
 
@@ -98,7 +99,7 @@ impl CameraInput {
         Self { name, camera: *camera, undistortion, hue: HuePlane::default() }
     }
 
-    fn check_size(&self, image: &RgbImage) -> Result<(), EstimationError> {
+    fn check_size(&self, image: RgbView<'_>) -> Result<(), EstimationError> {
         let expected = self.camera.size();
         if image.width() == expected.width && image.height() == expected.height {
             return Ok(());
@@ -112,12 +113,12 @@ impl CameraInput {
         })
     }
 
-    fn load(&mut self, image: &RgbImage, config: &HueConfig, kernels: Kernels) -> Result<(), EstimationError> {
+    fn load(&mut self, image: RgbView<'_>, config: &HueConfig, kernels: Kernels) -> Result<(), EstimationError> {
         let size = ImageSize { width: image.width(), height: image.height() };
         match &mut self.undistortion {
             Some((table, undistorted)) => {
                 table.remap_rgb(image.as_raw(), size, undistorted)?;
-                self.hue.update_from_rgb(undistorted, config, kernels);
+                self.hue.update_from_rgb(&*undistorted, config, kernels);
             }
             None => self.hue.update_from_rgb(image, config, kernels),
         }

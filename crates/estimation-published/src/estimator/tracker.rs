@@ -1,6 +1,5 @@
 //! The tracker of the published method: propagates the population, the region and the model frame from frame to frame.
 
-use image::RgbImage;
 use nalgebra::{Point3, Vector2};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::EstimationError;
@@ -8,6 +7,7 @@ use pb3dp_estimation_core::estimate::{EstimateWarning, PlanePose, TrackEstimate}
 use pb3dp_estimation_core::method::{Deadline, EstimateRequest, EstimationMethod, MarkedTarget};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::{Region, RegionMask, polygon};
+use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_estimation_core::status::{Status, Verdict};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{ImageSize, Pinhole, Pose, StereoRig};
@@ -67,8 +67,8 @@ impl PublishedTracker {
 
     fn take_target(
         &mut self,
-        left: &RgbImage,
-        right: &RgbImage,
+        left: RgbView<'_>,
+        right: RgbView<'_>,
         MarkedTarget { region, range }: MarkedTarget<'_>,
         deadline: &mut Deadline<'_>,
     ) -> Result<TrackEstimate, EstimationError> {
@@ -103,8 +103,8 @@ impl PublishedTracker {
     fn follow(
         &mut self,
         target: &mut Target,
-        left: &RgbImage,
-        right: &RgbImage,
+        left: RgbView<'_>,
+        right: RgbView<'_>,
         motion: Option<&Pose<CamLeft, CamLeft>>,
         deadline: &mut Deadline<'_>,
     ) -> Result<TrackEstimate, EstimationError> {
@@ -372,12 +372,12 @@ impl EstimationMethod for PublishedTracker {
     /// A marked target is searched without a start value. If its pose is not observable, the same region is tried again for a
     /// few frames. Of the prior, only the motion of the camera is used.
     fn answer(&mut self, request: &mut EstimateRequest<'_>) -> Result<TrackEstimate, EstimationError> {
-        let EstimateRequest { left, right, target, prior, deadline, .. } = request;
+        let EstimateRequest { left, right, target, prior, ref mut deadline, .. } = *request;
         if let Some(marked) = target {
             marked.range.validate()?;
             self.unsure_frames = 0;
             self.start = Some(Start { region: marked.region.clone(), range: *marked.range });
-            return self.take_target(left, right, *marked, deadline);
+            return self.take_target(left, right, marked, deadline);
         }
         let limit = self.core.config().tracker.assure_frames_max;
         if self.start.is_some() && self.unsure_frames >= limit {

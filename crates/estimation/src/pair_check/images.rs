@@ -1,8 +1,8 @@
 //! Reduced luminance images, normalised windows of them, and the scores of a window of the left image along its epipolar curve in
 //! the right image.
 
-use image::RgbImage;
 use nalgebra::{Point3, Vector2};
+use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_geometry::StereoRig;
 
 /// Columns and rows of a window.
@@ -30,7 +30,7 @@ pub struct Plane {
 
 impl Plane {
     /// The luminance in blocks of `factor` by `factor` pixels; an incomplete last column or row is dropped.
-    pub fn of(image: &RgbImage, factor: usize) -> Self {
+    pub fn of(image: RgbView<'_>, factor: usize) -> Self {
         let (full_width, full_height) = (image.width() as usize, image.height() as usize);
         let (width, height) = (full_width / factor, full_height / factor);
         let mut sums = vec![0_u32; width * height];
@@ -160,7 +160,7 @@ pub struct Curve {
 
 impl Images {
     /// The pair with both images reduced by an integer factor.
-    pub fn new(left: &RgbImage, right: &RgbImage, factor: usize) -> Self {
+    pub fn new(left: RgbView<'_>, right: RgbView<'_>, factor: usize) -> Self {
         let working_right = Plane::of(right, factor);
         let full = (factor > 1).then(|| [Plane::of(left, 1), Plane::of(right, 1)]);
         Self {

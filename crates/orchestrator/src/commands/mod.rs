@@ -14,7 +14,6 @@ pub mod overlay_folder;
 pub mod pair;
 pub mod panel;
 mod panel_of_run;
-mod pose_output;
 pub mod recover;
 pub mod replay;
 pub mod report;

@@ -14,7 +14,7 @@ use pb3dp_geometry::frames::{Base, CamLeft, Model, Target};
 use pb3dp_setup::recorded_settings::RecordedSettings;
 
 use super::matching::Stamp;
-use crate::exact::pose_if_any;
+use crate::exact::{pose_if_any, signed};
 use crate::head::{self, Head};
 
 /// Topics of a comparison besides the head. Images are not read.
@@ -189,9 +189,4 @@ impl Reading {
 
 fn stamp(number: u64, at_nanos: u64) -> Stamp {
     Stamp { number, nanos: signed(at_nanos) }
-}
-
-/// Clocks of runs are below 2^62 nanoseconds, 146 years.
-fn signed(nanos: u64) -> i64 {
-    i64::try_from(nanos).unwrap_or(i64::MAX).min(i64::MAX / 2)
 }

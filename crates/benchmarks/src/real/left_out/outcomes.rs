@@ -153,8 +153,8 @@ impl Measurements {
 /// The outcomes of one case for all configurations.
 fn of_case(folder: &Path, configs: &[DirectConfig]) -> anyhow::Result<Vec<Outcome>> {
     let case = cases::load(folder)?.context("the truth is missing")?;
-    let rows =
-        DirectEstimator::new(&case.rig, DirectConfig::default())?.prepare(&case.images.left, &case.images.right)?;
+    let rows = DirectEstimator::new(&case.rig, DirectConfig::default())?
+        .prepare((&case.images.left).into(), (&case.images.right).into())?;
     configs
         .iter()
         .map(|config| {

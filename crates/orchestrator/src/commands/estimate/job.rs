@@ -6,12 +6,13 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use image::RgbImage;
 use nalgebra::Vector2;
+use pb3dp_cell::search_range::{self, range_of_dataset};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::StereoRig;
 use pb3dp_hal_api::StereoCamera;
 use pb3dp_record::calibration_files::load_stereo_for;
-use pb3dp_record::dataset::{self, Case, load_case};
+use pb3dp_record::dataset::{Case, load_case};
 use pb3dp_record::images::{StoredImage, check_size, size_of};
 use pb3dp_setup::region_spec::load_region;
 use pb3dp_wiring::{ReplayPace, wire_replay};
@@ -41,9 +42,6 @@ pub struct Job {
     /// The case with its truth, if the job is a case.
     pub case: Option<Case>,
 }
-
-/// Default tilt range, degrees.
-const TILT_MAX_DEFAULT_DEG: f64 = 60.0;
 
 impl Job {
     /// Loads a case folder.
@@ -159,25 +157,18 @@ fn check_sizes(rig: &StereoRig, left: &RgbImage, file: &Path, source: &str) -> R
     Ok(check_size(file, size_of(left), (rig.left().size(), &format!("the calibration ({source})")))?)
 }
 
-/// Depths at which the disparity is 5 to 35 % of the image's width.
+/// The default range; a note states it if it is used.
 pub fn default_range(rig: &StereoRig, is_used: bool, notes: &mut Vec<String>) -> SearchRange {
-    let focal_baseline = rig.left().pinhole().fx * rig.baseline_m();
-    let width = f64::from(rig.left().size().width);
-    let (z_min_m, z_max_m) = (focal_baseline / (0.35 * width), focal_baseline / (0.05 * width));
+    let range = search_range::default_range(rig);
     if is_used {
         notes.push(format!(
             "no --z-range given: searching {:.0} to {:.0} mm (disparities of 35 to 5 % of the width); a narrower range is \
              searched more finely",
-            z_min_m * 1e3,
-            z_max_m * 1e3
+            range.z_min_m * 1e3,
+            range.z_max_m * 1e3
         ));
     }
-    SearchRange { z_min_m, z_max_m, tilt_max_rad: TILT_MAX_DEFAULT_DEG.to_radians() }
-}
-
-/// Search range of a case or sequence, in the units of the estimator.
-pub fn range_of_dataset(range: &dataset::SearchRange) -> SearchRange {
-    SearchRange { z_min_m: range.z_min_m, z_max_m: range.z_max_m, tilt_max_rad: range.tilt_max_rad }
+    range
 }
 
 /// The command line overrides the file.

@@ -1,7 +1,6 @@
-//! `pb3dp estimate`: the pose of a region in stereo images.
+//! `pb3dp estimate`: the pose of a region in stereo images; a line per case, and errors by group if the truth is known.
 
 pub mod job;
-pub mod output;
 mod rigs;
 
 use std::collections::HashSet;
@@ -11,6 +10,7 @@ use std::process::ExitCode;
 use anyhow::{Result, bail};
 use nalgebra::Vector2;
 use pb3dp_cell::annotation::{Annotation, annotate, polygon_px};
+use pb3dp_cell::result_lines::EstimateLine;
 use pb3dp_cell::terminal::print_line;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
 use pb3dp_estimation::pair_check::check_pair;
@@ -22,14 +22,13 @@ use pb3dp_hal_platform::cpu_time::{timed, within};
 use pb3dp_record::dataset::{find_cases, load_case};
 use pb3dp_record::images::{StoredFormat, save};
 use pb3dp_record::metrics::{self, DisparityAgreement, EvaluatedCase, Group, compare_plane, table};
-use pb3dp_setup::estimator::read_estimator;
+use pb3dp_setup::estimator::estimator_config;
 use pb3dp_wiring::message_codes::in_words;
 
 use self::job::{Job, pair_name};
-use self::output::EstimateLine;
 use self::rigs::Rigs;
 use super::overlay_folder::{make_overlay_folder, report_overlay_folder};
-use crate::arguments::{EstimateArgs, MethodArgs, UNSURE};
+use crate::arguments::{EstimateArgs, UNSURE};
 use crate::commands::pair::usable;
 use crate::progress::Progress;
 
@@ -42,7 +41,7 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
     if args.reference_optimum && method != Method::Published {
         bail!("--reference-optimum: the method {method} has no reference optimum: use --method {}", Method::Published);
     }
-    let config = estimator_config(&args.method)?;
+    let config = estimator_config(args.method.config.as_deref(), args.method.seed)?;
     let mut overlays = Overlays::open(args.method.overlay.as_deref())?;
     let jobs: Vec<Source> = match (&args.cases, &args.sequence) {
         (Some(dir), _) => {
@@ -138,21 +137,6 @@ impl Source {
     }
 }
 
-/// Parameters of the method from the defaults, a file and the command line, in this order.
-///
-/// # Errors
-/// If the file is refused.
-pub fn estimator_config(args: &MethodArgs) -> Result<EstimatorConfig> {
-    let mut config = match &args.config {
-        Some(file) => read_estimator(file)?,
-        None => EstimatorConfig::default(),
-    };
-    if let Some(seed) = args.seed {
-        config.published.rmga.seed = seed;
-    }
-    Ok(config)
-}
-
 /// One case: estimate, compare with the truth, draw.
 fn work(
     job: &Job,
@@ -185,10 +169,7 @@ fn work(
     if args.reference_optimum {
         estimate.reference_optimum = reference_optimum(job, method, config)?;
     }
-    let (centroid_px, z_m) = match job.centroid_px.map(Vector2::from) {
-        Some(centroid_px) => (centroid_px, estimate.depth_at_pixel(&centroid_px)),
-        None => (estimate.centroid_px, estimate.z_m()),
-    };
+    let (centroid_px, z_m) = estimate.point_at(job.centroid_px.map(Vector2::from));
     tell(&job.name, &estimate);
     let mut line = EstimateLine::of(&job.name, method.name(), &estimate, (centroid_px, z_m), millis);
     line.warnings.extend(pair_warning);

@@ -1,7 +1,6 @@
 //! `pb3dp track`: regions through a recorded stereo sequence.
 
 mod csv;
-pub mod output;
 mod output_file;
 mod overlays;
 mod surface;
@@ -11,6 +10,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use pb3dp_cell::result_lines::TrackLine;
 use pb3dp_cell::terminal::print_line;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_estimation_core::status::Status;
@@ -21,10 +21,9 @@ use pb3dp_wiring::message_codes::in_words;
 use pb3dp_wiring::wire_replay;
 
 use self::csv::EstimateFiles;
-use self::output::TrackLine;
 use self::output_file::check_writable;
 use self::overlays::Overlays;
-use self::walk::Walk;
+use self::walk::{Outcome, TargetResult, Walk};
 use crate::arguments::{TrackArgs, UNSURE};
 use crate::progress::Progress;
 
@@ -73,7 +72,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
                     tracing::warn!("frame {frame}: no image: {error:#}");
                 }
                 csv.add(t_s, &found)?;
-                TrackLine::all_of(frame, t_s, &found)
+                all_lines(frame, t_s, &found)
             }
             Err(error) if error.kind() == CameraErrorKind::BadPair => {
                 unread += 1;
@@ -103,6 +102,19 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         (false, 1..) if args.method.strict => ExitCode::from(UNSURE),
         (false, _) => ExitCode::SUCCESS,
     })
+}
+
+/// A line for each target of a frame.
+fn all_lines(frame: usize, t_s: f64, found: &[TargetResult]) -> Vec<TrackLine> {
+    let line = |found: &TargetResult| {
+        let mut line = match &found.outcome {
+            Outcome::Estimate { estimate, millis } => TrackLine::of(frame, t_s, estimate, *millis),
+            Outcome::Refused { reason } => TrackLine::of_error(frame, t_s, reason),
+        };
+        line.warnings.extend(found.pair_warning.clone());
+        TrackLine { target: found.target, ..line }
+    };
+    found.iter().map(line).collect()
 }
 
 /// Logs the table of motion errors, and the components that the method does not observe. The truth of a sequence belongs to its own

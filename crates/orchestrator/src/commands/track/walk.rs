@@ -4,6 +4,7 @@ use anyhow::{Context, Result, bail};
 use image::RgbImage;
 use nalgebra::Vector2;
 use pb3dp_cell::follower::Follower;
+use pb3dp_cell::search_range::range_of_dataset;
 use pb3dp_estimation::estimator::{FramePrior, Method, Tracker};
 use pb3dp_estimation::pair_check::check_pair;
 use pb3dp_estimation_core::estimate::TrackEstimate;
@@ -15,12 +16,12 @@ use pb3dp_geometry::{MonotonicTime, Pose, StereoRig};
 use pb3dp_hal_api::FramePair;
 use pb3dp_hal_platform::cpu_time::{timed, within};
 use pb3dp_record::images::size_of;
+use pb3dp_setup::estimator::estimator_config;
 use pb3dp_setup::region_spec::{RegionSpec, load_region};
 use pb3dp_wiring::Recording;
 use pb3dp_wiring::message_codes::in_words;
 
-use super::super::estimate::estimator_config;
-use super::super::estimate::job::{default_range, overridden, range_of_dataset};
+use super::super::estimate::job::{default_range, overridden};
 use crate::arguments::TrackArgs;
 use crate::commands::pair::usable;
 
@@ -163,7 +164,7 @@ impl Walk {
     /// # Errors
     /// A refused configuration, or a method that does not track.
     pub fn new(method: Method, rig: &StereoRig, recording: &Recording, args: &TrackArgs) -> Result<Self> {
-        let config = estimator_config(&args.method)?;
+        let config = estimator_config(args.method.config.as_deref(), args.method.seed)?;
         let mut notes = Vec::new();
         let given = match &recording.search {
             Some(search) => range_of_dataset(search),

@@ -1,11 +1,10 @@
-//! Output of `pb3dp track`: a line per frame and target.
+//! The line of one target in one frame of a sequence.
 
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_record::plain_zero::plain_zero;
 use serde::Serialize;
 
-use super::super::pose_output::{covariance_mm, row_major_mm};
-use super::walk::{Outcome, TargetResult};
+use super::millimetres::{covariance_mm, row_major_mm};
 
 /// The result of one frame, in the units of the interface; the order of the fields is that of the JSON line.
 #[derive(Clone, Debug, Serialize)]
@@ -45,26 +44,14 @@ impl TrackLine {
         )
     }
 
-    /// A line for each target of a frame.
-    pub fn all_of(frame: usize, t_s: f64, found: &[TargetResult]) -> Vec<Self> {
-        let line = |found: &TargetResult| {
-            let mut line = match &found.outcome {
-                Outcome::Estimate { estimate, millis } => Self::of(frame, t_s, estimate, *millis),
-                Outcome::Refused { reason } => Self::of_error(frame, t_s, reason),
-            };
-            line.warnings.extend(found.pair_warning.clone());
-            Self { target: found.target, ..line }
-        };
-        found.iter().map(line).collect()
-    }
-
     /// The lines of a frame that could not be read, with the reason.
     pub fn all_of_error(frame: usize, t_s: f64, targets: usize, reason: &str) -> Vec<Self> {
         let number = |index: usize| (targets > 1).then_some(index);
         (0..targets).map(|index| Self { target: number(index), ..Self::of_error(frame, t_s, reason) }).collect()
     }
 
-    fn of_error(frame: usize, t_s: f64, reason: &str) -> Self {
+    /// A frame or a target without an estimate, with the reason.
+    pub fn of_error(frame: usize, t_s: f64, reason: &str) -> Self {
         Self {
             frame,
             target: None,
@@ -80,7 +67,8 @@ impl TrackLine {
         }
     }
 
-    fn of(frame: usize, t_s: f64, estimate: &TrackEstimate, ms: f64) -> Self {
+    /// The line of an estimate.
+    pub fn of(frame: usize, t_s: f64, estimate: &TrackEstimate, ms: f64) -> Self {
         Self {
             status: estimate.status.as_str(),
             cam_left_from_model: estimate.cam_left_from_model.as_ref().map(row_major_mm),

@@ -1,11 +1,11 @@
-//! Output of `pb3dp estimate`: a line per case, and errors by group if the truth is known.
+//! The line of an estimate from one pair.
 
 use nalgebra::Vector2;
 use pb3dp_estimation_core::estimate::{PlaneEstimate, SecondPlane};
 use pb3dp_record::plain_zero::plain_zero;
 use serde::Serialize;
 
-use super::super::pose_output::{covariance_mm, row_major_mm};
+use super::millimetres::{covariance_mm, row_major_mm};
 
 /// The result of one case, in the units of the interface; the order of the fields is that of the JSON line.
 #[derive(Clone, Debug, Serialize)]

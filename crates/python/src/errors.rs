@@ -1,0 +1,36 @@
+//! Errors of the library as exceptions of Python.
+
+use pb3dp_wiring::message_codes::{code_of, in_words};
+use pyo3::exceptions::PyException;
+use pyo3::prelude::*;
+
+pyo3::create_exception!(
+    pb3dp,
+    Error,
+    PyException,
+    "An input that cannot be used, or a failure.\n\nThe text is that of the program: the thing, its value, the remedy. `code` is the code of the message, such as\n`PB3DP-EST-002`, or None; `pb3dp explain CODE` prints cause and remedy."
+);
+
+/// Errors become exceptions with the text and the code that the program prints.
+pub trait OrRaise<T> {
+    /// The value, or the exception.
+    ///
+    /// # Errors
+    /// [`Error`].
+    fn or_raise(self, py: Python<'_>) -> PyResult<T>;
+}
+
+impl<T, E: Into<anyhow::Error>> OrRaise<T> for Result<T, E> {
+    fn or_raise(self, py: Python<'_>) -> PyResult<T> {
+        self.map_err(|error| exception(py, &error.into()))
+    }
+}
+
+fn exception(py: Python<'_>, error: &anyhow::Error) -> PyErr {
+    let raised = Error::new_err(in_words(error));
+    let code = code_of(error).map(|known| known.code);
+    match raised.value(py).setattr("code", code) {
+        Ok(()) => raised,
+        Err(other) => other,
+    }
+}

@@ -1,0 +1,149 @@
+//! The estimator for single pairs.
+
+use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
+
+use anyhow::{Context, Result};
+use pb3dp_estimation::estimator::{Estimator as Inner, Method};
+use pb3dp_estimation::pair_check::check_pair;
+use pb3dp_estimation_core::method::EstimateRequest;
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::rgb_view::RgbView;
+use pb3dp_geometry::{ImageSize, StereoRig as Rig};
+use pb3dp_hal_platform::cpu_time::{timed, within};
+use pb3dp_record::value_range::ValueRange;
+use pyo3::prelude::*;
+
+use crate::errors::OrRaise;
+use crate::estimate::Estimate;
+use crate::images::{Given, with_views};
+use crate::region::Region;
+use crate::rig::StereoRig;
+use crate::settings::{Asked, Settings};
+
+/// What to do with images that the check against the calibration refuses.
+pub const SWAP: &str = "swap left and right";
+
+/// Estimates the pose of a region in single stereo pairs.
+///
+/// The first pair is checked against the calibration, and the vertical misalignment of the cameras is measured on it, as in the program.
+/// An estimator can be used by several threads; its calls wait for each other.
+#[pyclass(frozen, module = "pb3dp")]
+pub struct Estimator {
+    rig: Rig,
+    method: Method,
+    range: SearchRange,
+    state: Mutex<State>,
+}
+
+struct State {
+    inner: Inner,
+    value_range: Option<ValueRange>,
+    is_checked: bool,
+    is_measured: bool,
+}
+
+impl State {
+    /// Checks the first pair, and measures the rig on the first pair that allows it; returns a doubt about the calibration.
+    fn prepare(&mut self, rig: &Rig, left: RgbView<'_>, right: RgbView<'_>) -> Result<Option<String>> {
+        let mut doubt = None;
+        if !self.is_checked {
+            doubt = check_pair(rig, left, right).accepted().context(SWAP)?;
+        }
+        if !self.is_measured {
+            self.is_measured = self.inner.prepare(left, right)?.is_none_or(|measured| !measured.rows.is_zero());
+        }
+        self.is_checked = true;
+        Ok(doubt)
+    }
+}
+
+#[pymethods]
+impl Estimator {
+    /// An estimator for a rig.
+    ///
+    /// `method`: `direct` or `published`. `z_range_m`: the nearest and the farthest depth to search, metres; by default those with disparities
+    /// of 35 to 5 % of the width. `tilt_max_rad`: the largest tilt to search, radians; default 60 degrees. `config`: a TOML file with all
+    /// parameters of the methods. `seed`: of the search of the published method. `value_range`: the values that become black and white in
+    /// images of uint16; measured on the first pair by default.
+    #[new]
+    #[pyo3(signature = (rig, method="direct", *, z_range_m=None, tilt_max_rad=None, config=None, seed=None, value_range=None))]
+    #[allow(clippy::too_many_arguments, reason = "keywords of Python")]
+    fn new(
+        py: Python<'_>,
+        rig: &StereoRig,
+        method: &str,
+        z_range_m: Option<(f64, f64)>,
+        tilt_max_rad: Option<f64>,
+        config: Option<PathBuf>,
+        seed: Option<u64>,
+        value_range: Option<(u16, u16)>,
+    ) -> PyResult<Self> {
+        let asked = Asked { method, z_range_m, tilt_max_rad, config, seed, value_range };
+        let made = Settings::of(asked, rig.rig()).and_then(|settings| {
+            let inner = Inner::new(settings.method, rig.rig(), &settings.config)?;
+            let state = State { inner, value_range: settings.value_range, is_checked: false, is_measured: false };
+            Ok(Self { rig: *rig.rig(), method: settings.method, range: settings.range, state: Mutex::new(state) })
+        });
+        made.or_raise(py)
+    }
+
+    /// Estimates the pose of a region.
+    ///
+    /// `left` and `right`: the raw images, as the cameras delivered them; height x width x 3 in the order red, green, blue, or height x width,
+    /// of uint8 or uint16. Images of uint8 with three channels and without gaps are used where they are; all others are copied. Do not write
+    /// to them before the call returns. `centroid_px`: the point of the left image on whose ray the depth is given; by default the centroid of
+    /// the region. `deadline_ms`: after this CPU time the best estimate so far is returned, with a warning.
+    #[pyo3(signature = (left, right, region, *, centroid_px=None, deadline_ms=None))]
+    fn estimate(
+        &self,
+        py: Python<'_>,
+        left: &Bound<'_, PyAny>,
+        right: &Bound<'_, PyAny>,
+        region: &Region,
+        centroid_px: Option<[f64; 2]>,
+        deadline_ms: Option<f64>,
+    ) -> PyResult<Estimate> {
+        let given = Given::of("left", left).and_then(|left| Ok([left, Given::of("right", right)?])).or_raise(py)?;
+        let pixels = given[0].pixels("left").and_then(|left| Ok([left, given[1].pixels("right")?])).or_raise(py)?;
+        let estimated = py.detach(|| {
+            let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut range = state.value_range;
+            let found = with_views(pixels, &mut range, |left, right| {
+                let warning = state.prepare(&self.rig, left, right)?;
+                let region = region.in_images(ImageSize { width: left.width(), height: left.height() })?;
+                let (estimate, millis) = timed(|| {
+                    let mut may_continue = within(deadline_ms);
+                    let request = EstimateRequest::of_target(left, right, &region, &self.range);
+                    state.inner.estimate(request.until(&mut may_continue))
+                });
+                Ok(Estimate::new(self.method, (estimate?, millis), centroid_px, warning))
+            });
+            state.value_range = range;
+            found
+        });
+        estimated.or_raise(py)
+    }
+
+    /// The method.
+    #[getter]
+    fn method(&self) -> &'static str {
+        self.method.name()
+    }
+
+    /// The depths that are searched, metres.
+    #[getter]
+    fn z_range_m(&self) -> (f64, f64) {
+        (self.range.z_min_m, self.range.z_max_m)
+    }
+
+    /// The largest tilt that is searched, radians.
+    #[getter]
+    fn tilt_max_rad(&self) -> f64 {
+        self.range.tilt_max_rad
+    }
+
+    fn __repr__(&self) -> String {
+        format!("Estimator({}, {} to {} m)", self.method, self.range.z_min_m, self.range.z_max_m)
+    }
+}

@@ -1,0 +1,293 @@
+//! Recordings as arrays.
+
+use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+use anyhow::{Result, anyhow, bail};
+use numpy::{PyArray1, PyArray3, PyArrayMethods};
+use pb3dp_cell::search_range::range_of_dataset;
+use pb3dp_hal_api::{FramePair, StereoCamera};
+use pb3dp_record::value_range::ValueRange;
+use pb3dp_wiring::{Recording as Inner, RecordingOptions, ReplayPace, wire_replay};
+use pyo3::exceptions::PyIndexError;
+use pyo3::prelude::*;
+
+use crate::arrays;
+use crate::errors::OrRaise;
+use crate::images::array_of;
+use crate::region::Region;
+use crate::rig::StereoRig;
+
+/// A replay does not wait for images: this time-out should never expire.
+const PAIR_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// A recording of stereo pairs: an MCAP file or rosbag2 folder, a sequence or case folder, a EuRoC folder, or a folder of images.
+///
+/// `recording[i]` is the pair with number i, from 0; a loop gives all pairs in order. A pair that is damaged raises `Error`, and the others can
+/// still be read.
+#[pyclass(frozen, module = "pb3dp")]
+pub struct Recording {
+    state: Mutex<State>,
+    rig: Py<StereoRig>,
+    times_s: Vec<f64>,
+    region_px: Option<Vec<[f64; 2]>>,
+    z_range_m: Option<(f64, f64)>,
+    tilt_max_rad: Option<f64>,
+    /// Homogeneous matrices, one after the other.
+    truth: Option<Vec<f64>>,
+    warnings: Vec<String>,
+}
+
+struct State {
+    recording: Inner,
+    notes: Vec<String>,
+}
+
+impl State {
+    fn pair(&mut self, number: usize) -> Result<FramePair> {
+        let camera = &mut self.recording.camera;
+        camera.skip_to(number as u64);
+        let mut pair = FramePair::black(camera.rig().left().size());
+        let played = camera.next_pair_into(&mut pair, PAIR_TIMEOUT);
+        self.notes.extend(camera.take_notes());
+        Ok(played.map(|()| pair)?)
+    }
+}
+
+/// What a recording does not state itself.
+struct Asked {
+    calibration: Vec<PathBuf>,
+    topics: Option<[String; 2]>,
+    pair_within_ms: f64,
+    value_range: Option<(u16, u16)>,
+}
+
+impl Asked {
+    fn options(self) -> Result<RecordingOptions> {
+        if !(0.0..=1000.0).contains(&self.pair_within_ms) {
+            bail!("pair_within_ms is {}: must be between 0 and 1000 milliseconds", self.pair_within_ms);
+        }
+        let of_values = |(low, high)| {
+            ValueRange::new(low, high)
+                .ok_or_else(|| anyhow!("value_range is ({low}, {high}): the first value must be less than the second"))
+        };
+        Ok(RecordingOptions {
+            calibration: self.calibration,
+            topics: self.topics,
+            within: Duration::from_secs_f64(self.pair_within_ms * 1e-3),
+            range: self.value_range.map(of_values).transpose()?,
+            layout: None,
+        })
+    }
+}
+
+impl Recording {
+    fn read(&self, py: Python<'_>, number: usize) -> PyResult<Pair> {
+        let read = py.detach(|| self.state.lock().unwrap_or_else(PoisonError::into_inner).pair(number));
+        Pair::of(py, number, self.times_s[number], read.or_raise(py)?)
+    }
+}
+
+#[pymethods]
+impl Recording {
+    /// Opens a recording.
+    ///
+    /// `calibration`: calibration files, as in `StereoRig.load`, instead of that of the recording. `topics`: those of the left and the right
+    /// images in an MCAP file; by default two that differ only in left and right. `pair_within_ms`: the longest time between the images of a
+    /// pair. `value_range`: the values that become black and white in images with 16 bits; measured on the first pair by default.
+    #[new]
+    #[pyo3(signature = (path, *, calibration=vec![], topics=None, pair_within_ms=3.0, value_range=None))]
+    fn new(
+        py: Python<'_>,
+        path: PathBuf,
+        calibration: Vec<PathBuf>,
+        topics: Option<[String; 2]>,
+        pair_within_ms: f64,
+        value_range: Option<(u16, u16)>,
+    ) -> PyResult<Self> {
+        let options = Asked { calibration, topics, pair_within_ms, value_range }.options().or_raise(py)?;
+        let opened = py.detach(|| wire_replay(&path, &options, ReplayPace::Fast)).or_raise(py)?;
+        let calibration = opened.camera.calibration().clone();
+        let range = opened.search.as_ref().map(range_of_dataset);
+        let notes = opened.notes.iter().chain(&calibration.notes).cloned().collect();
+        Ok(Self {
+            rig: Py::new(py, StereoRig::new(calibration))?,
+            times_s: opened.times_s.clone(),
+            region_px: opened.region_polygon_left_px.clone(),
+            z_range_m: range.map(|range| (range.z_min_m, range.z_max_m)),
+            tilt_max_rad: range.map(|range| range.tilt_max_rad),
+            truth: opened
+                .cam_left_from_model
+                .as_ref()
+                .map(|poses| poses.iter().flat_map(arrays::homogeneous).collect()),
+            warnings: opened.warnings.clone(),
+            state: Mutex::new(State { recording: opened, notes }),
+        })
+    }
+
+    /// The calibration of its cameras.
+    #[getter]
+    fn rig(&self, py: Python<'_>) -> Py<StereoRig> {
+        self.rig.clone_ref(py)
+    }
+
+    /// Middle of the left exposure of each pair, seconds on the clock of the recording.
+    #[getter]
+    fn times_s<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        arrays::vector(py, &self.times_s)
+    }
+
+    /// The target in the left image of the first pair, or None.
+    #[getter]
+    fn region(&self) -> Option<Region> {
+        self.region_px.as_deref().map(Region::of_polygon)
+    }
+
+    /// The depths to search that the recording states, metres, or None.
+    #[getter]
+    fn z_range_m(&self) -> Option<(f64, f64)> {
+        self.z_range_m
+    }
+
+    /// The largest tilt to search that the recording states, radians, or None.
+    #[getter]
+    fn tilt_max_rad(&self) -> Option<f64> {
+        self.tilt_max_rad
+    }
+
+    /// The true pose of the target in each pair, N x 4 x 4, translation in metres, or None.
+    #[getter]
+    fn cam_left_from_model<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray3<f64>>>> {
+        let truth = self.truth.as_ref();
+        truth.map(|numbers| PyArray1::from_slice(py, numbers).reshape([numbers.len() / 16, 4, 4])).transpose()
+    }
+
+    /// What the user should know of the recording, from the pairs that were read so far.
+    #[getter]
+    fn notes(&self, py: Python<'_>) -> Vec<String> {
+        py.detach(|| self.state.lock().unwrap_or_else(PoisonError::into_inner).notes.clone())
+    }
+
+    /// What is missing or not as it should be.
+    #[getter]
+    fn warnings(&self) -> Vec<String> {
+        self.warnings.clone()
+    }
+
+    fn __len__(&self) -> usize {
+        self.times_s.len()
+    }
+
+    fn __getitem__(&self, py: Python<'_>, index: isize) -> PyResult<Pair> {
+        let pairs = self.times_s.len();
+        let number = if index < 0 { index.checked_add_unsigned(pairs) } else { Some(index) };
+        let number = number.and_then(|number| usize::try_from(number).ok()).filter(|number| *number < pairs);
+        let Some(number) = number else {
+            return Err(PyIndexError::new_err(format!("pair {index}: the recording has {pairs} pairs, from 0")));
+        };
+        self.read(py, number)
+    }
+
+    fn __iter__(this: Py<Self>) -> Pairs {
+        Pairs { recording: this, next: Mutex::new(0) }
+    }
+
+    fn __repr__(&self) -> String {
+        format!("Recording({} pairs)", self.times_s.len())
+    }
+}
+
+/// The pairs of a recording in order; after a damaged one it goes on with the next.
+#[pyclass(frozen, module = "pb3dp")]
+pub struct Pairs {
+    recording: Py<Recording>,
+    next: Mutex<usize>,
+}
+
+#[pymethods]
+impl Pairs {
+    fn __iter__(this: PyRef<'_, Self>) -> PyRef<'_, Self> {
+        this
+    }
+
+    fn __next__(&self, py: Python<'_>) -> PyResult<Option<Pair>> {
+        let number = {
+            let mut next = self.next.lock().unwrap_or_else(PoisonError::into_inner);
+            *next += 1;
+            *next - 1
+        };
+        let recording = self.recording.get();
+        if number >= recording.times_s.len() {
+            return Ok(None);
+        }
+        recording.read(py, number).map(Some)
+    }
+}
+
+/// A stereo pair of a recording.
+#[pyclass(frozen, module = "pb3dp")]
+pub struct Pair {
+    index: usize,
+    t_s: f64,
+    time_ns: u64,
+    skew_ns: i64,
+    left: Py<PyAny>,
+    right: Py<PyAny>,
+}
+
+impl Pair {
+    fn of(py: Python<'_>, index: usize, t_s: f64, pair: FramePair) -> PyResult<Self> {
+        Ok(Self {
+            index,
+            t_s,
+            time_ns: pair.exposed_at.as_nanos(),
+            skew_ns: pair.skew_nanos,
+            left: array_of(py, pair.left)?.unbind(),
+            right: array_of(py, pair.right)?.unbind(),
+        })
+    }
+}
+
+#[pymethods]
+impl Pair {
+    /// Number of the pair, from 0.
+    #[getter]
+    fn index(&self) -> usize {
+        self.index
+    }
+
+    /// Middle of the left exposure, seconds on the clock of the recording.
+    #[getter]
+    fn t_s(&self) -> f64 {
+        self.t_s
+    }
+
+    /// Middle of the left exposure, nanoseconds; for `Tracker.track`.
+    #[getter]
+    fn time_ns(&self) -> u64 {
+        self.time_ns
+    }
+
+    /// Middle of the right exposure minus middle of the left one, nanoseconds.
+    #[getter]
+    fn skew_ns(&self) -> i64 {
+        self.skew_ns
+    }
+
+    /// The raw left image, height x width x 3, uint8, in the order red, green, blue.
+    #[getter]
+    fn left(&self, py: Python<'_>) -> Py<PyAny> {
+        self.left.clone_ref(py)
+    }
+
+    /// The raw right image, as `left`.
+    #[getter]
+    fn right(&self, py: Python<'_>) -> Py<PyAny> {
+        self.right.clone_ref(py)
+    }
+
+    fn __repr__(&self) -> String {
+        format!("Pair({}, {:.3} s)", self.index, self.t_s)
+    }
+}

@@ -1,0 +1,154 @@
+//! Stereo rigs.
+
+use std::path::PathBuf;
+
+use anyhow::anyhow;
+use nalgebra::Point3;
+use numpy::{PyArray1, PyArray2, PyReadonlyArray2};
+use pb3dp_geometry::{Camera, Distortion, ImageSize, StereoRig as Rig};
+use pb3dp_record::calibration_files::{StereoCalibration, load_stereo, load_stereo_for};
+use pyo3::prelude::*;
+
+use crate::arrays;
+use crate::errors::OrRaise;
+
+/// A calibrated pair of cameras.
+///
+/// Frames: `cam_left` and `cam_right` have x to the right, y down, z forward, and their origin in the optical centre.
+#[pyclass(frozen, module = "pb3dp")]
+pub struct StereoRig {
+    calibration: StereoCalibration,
+}
+
+impl StereoRig {
+    /// A calibration from a recording.
+    pub fn new(calibration: StereoCalibration) -> Self {
+        Self { calibration }
+    }
+
+    /// The rig.
+    pub fn rig(&self) -> &Rig {
+        &self.calibration.rig
+    }
+}
+
+#[pymethods]
+impl StereoRig {
+    /// Loads a calibration: the file of `pb3dp calibrate`, `calib.json`, a Kalibr camchain, an OpenCV stereo YAML or its two files, two ROS
+    /// `camera_info` files (left, right), or a folder that contains them. The format is detected from the contents.
+    ///
+    /// `image_size` is (width, height) in pixels, for files that do not state it (OpenCV).
+    #[staticmethod]
+    #[pyo3(signature = (*paths, image_size=None))]
+    fn load(py: Python<'_>, paths: Vec<PathBuf>, image_size: Option<(u32, u32)>) -> PyResult<Self> {
+        let loaded = py.detach(|| match image_size {
+            Some((width, height)) => load_stereo_for(&paths, ImageSize { width, height }),
+            None => load_stereo(&paths),
+        });
+        Ok(Self { calibration: loaded.or_raise(py)? })
+    }
+
+    /// Width and height of the left image, pixels.
+    #[getter]
+    fn image_size(&self) -> (u32, u32) {
+        let size = self.rig().left().size();
+        (size.width, size.height)
+    }
+
+    /// Distance between the optical centres, metres.
+    #[getter]
+    fn baseline_m(&self) -> f64 {
+        self.rig().baseline_m()
+    }
+
+    /// Camera matrix of the left camera, 3x3, pixels.
+    #[getter]
+    fn left_matrix<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        camera_matrix(py, self.rig().left())
+    }
+
+    /// Camera matrix of the right camera, 3x3, pixels.
+    #[getter]
+    fn right_matrix<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        camera_matrix(py, self.rig().right())
+    }
+
+    /// Lens of the left camera: `none`, `plumb_bob`, `rational_polynomial` or `equidistant`, and its coefficients in the order of OpenCV.
+    #[getter]
+    fn left_distortion<'py>(&self, py: Python<'py>) -> (&'static str, Bound<'py, PyArray1<f64>>) {
+        distortion(py, self.rig().left())
+    }
+
+    /// Lens of the right camera, as `left_distortion`.
+    #[getter]
+    fn right_distortion<'py>(&self, py: Python<'py>) -> (&'static str, Bound<'py, PyArray1<f64>>) {
+        distortion(py, self.rig().right())
+    }
+
+    /// Pose of the left camera in the right one: 4x4, translation in metres.
+    #[getter]
+    fn cam_right_from_cam_left<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        arrays::pose(py, self.rig().cam_right_from_cam_left())
+    }
+
+    /// Projects points into the raw left image, with the distortion of the lens: N x 3 in `cam_left`, metres, to N x 2, pixels. Points that the
+    /// camera cannot see give NaN.
+    fn project_left<'py>(
+        &self,
+        py: Python<'py>,
+        points_in_cam_left: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let points = points_in_cam_left.as_array();
+        if points.ncols() != 3 {
+            let shape = points.shape();
+            let refused: Result<(), _> = Err(anyhow!("points_in_cam_left has the shape {shape:?}: give N x 3, metres"));
+            refused.or_raise(py)?;
+        }
+        let camera = self.rig().left();
+        let projected = points.rows().into_iter().flat_map(|point| {
+            let pixel = camera.project(&Point3::new(point[0], point[1], point[2]));
+            pixel.map_or([f64::NAN; 2], Into::into)
+        });
+        arrays::matrix(py, 2, projected.collect())
+    }
+
+    /// The format of the file, in words.
+    #[getter]
+    fn format(&self) -> String {
+        self.calibration.format.to_string()
+    }
+
+    /// The file or files.
+    #[getter]
+    fn source(&self) -> &str {
+        &self.calibration.source
+    }
+
+    /// What the reader assumed or left out.
+    #[getter]
+    fn notes(&self) -> Vec<String> {
+        self.calibration.notes.clone()
+    }
+
+    fn __repr__(&self) -> String {
+        let (width, height) = self.image_size();
+        let (baseline_mm, source) = (self.baseline_m() * 1e3, self.source());
+        format!("StereoRig({width}x{height} px, baseline {baseline_mm:.1} mm, from {source})")
+    }
+}
+
+fn camera_matrix<'py>(py: Python<'py>, camera: &Camera) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let m = camera.pinhole().matrix();
+    arrays::matrix(py, 3, (0..9).map(|k| m[(k / 3, k % 3)]).collect())
+}
+
+fn distortion<'py>(py: Python<'py>, camera: &Camera) -> (&'static str, Bound<'py, PyArray1<f64>>) {
+    let lens = camera.distortion();
+    let name = match lens {
+        Distortion::None => "none",
+        Distortion::BrownConrady5 { .. } => "plumb_bob",
+        Distortion::BrownConrady8 { .. } => "rational_polynomial",
+        Distortion::Equidistant { .. } => "equidistant",
+    };
+    (name, arrays::vector(py, lens.coefficients()))
+}

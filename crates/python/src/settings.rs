@@ -1,0 +1,55 @@
+//! What an estimator and a tracker are made with.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use pb3dp_cell::search_range::default_range;
+use pb3dp_estimation::estimator::{EstimatorConfig, Method};
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_geometry::StereoRig;
+use pb3dp_record::value_range::ValueRange;
+use pb3dp_setup::estimator::estimator_config;
+
+/// Arguments that an estimator and a tracker have in common.
+pub struct Asked<'a> {
+    pub method: &'a str,
+    pub z_range_m: Option<(f64, f64)>,
+    pub tilt_max_rad: Option<f64>,
+    pub config: Option<PathBuf>,
+    pub seed: Option<u64>,
+    pub value_range: Option<(u16, u16)>,
+}
+
+/// The same, checked.
+pub struct Settings {
+    pub method: Method,
+    pub range: SearchRange,
+    pub config: EstimatorConfig,
+    pub value_range: Option<ValueRange>,
+}
+
+impl Settings {
+    /// Checks the arguments; the search range of the rig where none is given.
+    ///
+    /// # Errors
+    /// An unknown method, a file that is refused, a range out of bounds.
+    pub fn of(asked: Asked<'_>, rig: &StereoRig) -> Result<Self> {
+        let mut range = default_range(rig);
+        if let Some((z_min_m, z_max_m)) = asked.z_range_m {
+            (range.z_min_m, range.z_max_m) = (z_min_m, z_max_m);
+        }
+        range.tilt_max_rad = asked.tilt_max_rad.unwrap_or(range.tilt_max_rad);
+        range.validate()?;
+        let of_values = |(low, high)| {
+            ValueRange::new(low, high).with_context(|| {
+                format!("value_range is ({low}, {high}): the first value must be less than the second")
+            })
+        };
+        Ok(Self {
+            method: Method::from_name(asked.method)?,
+            range,
+            config: estimator_config(asked.config.as_deref(), asked.seed)?,
+            value_range: asked.value_range.map(of_values).transpose()?,
+        })
+    }
+}

@@ -1,0 +1,117 @@
+//! The pose of a tracked target in one frame.
+
+use nalgebra::Vector2;
+use numpy::{PyArray1, PyArray2};
+use pb3dp_cell::result_lines::TrackLine;
+use pb3dp_estimation_core::estimate::TrackEstimate as Inner;
+use pyo3::prelude::*;
+
+use crate::arrays;
+use crate::errors::OrRaise;
+
+/// The pose of a tracked target in one frame, with its status and the reason for it.
+///
+/// Frames: `cam_left` is the left camera (x to the right, y down, z forward). `model` is fixed to the target: in the first frame its origin is on
+/// the ray of the centroid of the region, z along the normal away from the camera, x along the rows of the image.
+#[pyclass(frozen, module = "pb3dp")]
+pub struct TrackEstimate {
+    estimate: Inner,
+    cpu_millis: f64,
+    pair_warning: Option<String>,
+}
+
+impl TrackEstimate {
+    /// The result of one frame.
+    pub fn new(estimate: Inner, cpu_millis: f64, pair_warning: Option<String>) -> Self {
+        Self { estimate, cpu_millis, pair_warning }
+    }
+
+    fn warnings_in_words(&self) -> Vec<String> {
+        self.estimate.warnings.iter().map(ToString::to_string).chain(self.pair_warning.clone()).collect()
+    }
+}
+
+#[pymethods]
+impl TrackEstimate {
+    /// `ok`, `weak-tilt`, `partly-observed`, `ambiguous`, `not-observable` or `lost`.
+    #[getter]
+    fn status(&self) -> &'static str {
+        self.estimate.status.as_str()
+    }
+
+    /// What led to the status.
+    #[getter]
+    fn reason(&self) -> &str {
+        &self.estimate.reason
+    }
+
+    /// What may make the pose worse than its status; reported once, with the first frame.
+    #[getter]
+    fn warnings(&self) -> Vec<String> {
+        self.warnings_in_words()
+    }
+
+    /// Pose of the target: 4x4, maps coordinates in `model` to `cam_left`, translation in metres; or None.
+    #[getter]
+    fn cam_left_from_model<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
+        arrays::pose_if_any(py, self.estimate.cam_left_from_model.as_ref())
+    }
+
+    /// Translation of `cam_left_from_model`, 3 numbers, metres, or None.
+    #[getter]
+    fn translation_m<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray1<f64>>> {
+        self.estimate.cam_left_from_model.map(|pose| arrays::vector(py, pose.translation_m().as_slice()))
+    }
+
+    /// Rotation of `cam_left_from_model` as unit quaternion x, y, z, w, or None.
+    #[getter]
+    fn quaternion_xyzw<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray1<f64>>> {
+        self.estimate.cam_left_from_model.map(|pose| arrays::vector(py, &arrays::quaternion_xyzw(&pose)))
+    }
+
+    /// Covariance of the pose, 6x6, or None: of xi = (x, y, z in metres, then a rotation vector in radians), both along the axes of `model`,
+    /// with true pose = cam_left_from_model * exp(xi).
+    #[getter]
+    fn covariance<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
+        arrays::covariance(py, self.estimate.covariance.as_ref())
+    }
+
+    /// Whether the images determine x, y, z and the turns about them (axes of `model`), or None if the method does not tell.
+    #[getter]
+    fn observed(&self) -> Option<[bool; 6]> {
+        self.estimate.observed
+    }
+
+    /// Agreement of model and images, at most 1, or None.
+    #[getter]
+    fn fitness(&self) -> Option<f64> {
+        self.estimate.fitness
+    }
+
+    /// Outline of the target in the left image: N x 2, pixels.
+    #[getter]
+    fn outline_px<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let numbers = self.estimate.outline_px.iter().flat_map(|corner: &Vector2<f64>| [corner.x, corner.y]);
+        arrays::matrix(py, 2, numbers.collect())
+    }
+
+    /// CPU time from the images in memory to the pose, milliseconds.
+    #[getter]
+    fn cpu_ms(&self) -> f64 {
+        self.cpu_millis
+    }
+
+    /// The line that `pb3dp track --json` prints, in millimetres; `frame` is the number in it, and `t_s` the time, seconds.
+    #[pyo3(signature = (frame=0, t_s=0.0))]
+    fn to_json(&self, py: Python<'_>, frame: usize, t_s: f64) -> PyResult<String> {
+        let line = TrackLine::of(frame, t_s, &self.estimate, self.cpu_millis);
+        serde_json::to_string(&TrackLine { warnings: self.warnings_in_words(), ..line }).or_raise(py)
+    }
+
+    fn __repr__(&self) -> String {
+        match self.estimate.cam_left_from_model {
+            Some(pose) => format!("TrackEstimate({}, z {:.4} m)", self.status(), pose.translation_m().z),
+            None => format!("TrackEstimate({}: {})", self.status(), self.reason()),
+        }
+    }
+}

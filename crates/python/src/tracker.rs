@@ -1,0 +1,154 @@
+//! The tracker for sequences.
+
+use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
+
+use anyhow::Context;
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
+use pb3dp_cell::follower::Follower;
+use pb3dp_estimation::estimator::{FramePrior, Method, Tracker as Inner};
+use pb3dp_estimation::pair_check::check_pair;
+use pb3dp_geometry::{ImageSize, MonotonicTime, StereoRig as Rig};
+use pb3dp_hal_platform::cpu_time::{timed, within};
+use pb3dp_record::value_range::ValueRange;
+use pyo3::prelude::*;
+
+use crate::arrays;
+use crate::errors::OrRaise;
+use crate::estimator::SWAP;
+use crate::images::{Given, with_views};
+use crate::region::Region;
+use crate::rig::StereoRig;
+use crate::settings::{Asked, Settings};
+use crate::track::TrackEstimate;
+
+/// Tracks one target through a sequence of stereo pairs.
+#[pyclass(frozen, module = "pb3dp")]
+pub struct Tracker {
+    rig: Rig,
+    method: Method,
+    state: Mutex<State>,
+}
+
+struct State {
+    follower: Follower,
+    value_range: Option<ValueRange>,
+    is_checked: bool,
+    last_at: Option<MonotonicTime>,
+}
+
+/// Positions, normals and colours of a surface.
+type Surface<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<u8>>);
+
+#[pymethods]
+impl Tracker {
+    /// A tracker for a rig; the arguments are those of `Estimator`.
+    #[new]
+    #[pyo3(signature = (rig, method="direct", *, z_range_m=None, tilt_max_rad=None, config=None, seed=None, value_range=None))]
+    #[allow(clippy::too_many_arguments, reason = "keywords of Python")]
+    fn new(
+        py: Python<'_>,
+        rig: &StereoRig,
+        method: &str,
+        z_range_m: Option<(f64, f64)>,
+        tilt_max_rad: Option<f64>,
+        config: Option<PathBuf>,
+        seed: Option<u64>,
+        value_range: Option<(u16, u16)>,
+    ) -> PyResult<Self> {
+        let asked = Asked { method, z_range_m, tilt_max_rad, config, seed, value_range };
+        let made = Settings::of(asked, rig.rig()).and_then(|settings| {
+            let tracker = Inner::new(settings.method, rig.rig(), &settings.config)?;
+            let follower = Follower::new(tracker, settings.range);
+            let state = State { follower, value_range: settings.value_range, is_checked: false, last_at: None };
+            Ok(Self { rig: *rig.rig(), method: settings.method, state: Mutex::new(state) })
+        });
+        made.or_raise(py)
+    }
+
+    /// Tracks the target in the next pair.
+    ///
+    /// `left` and `right`: as in `Estimator.estimate`. `region`: marks the target; needed with the first pair, later it marks another target.
+    /// `time_ns`: the middle of the exposure, nanoseconds on any clock; without it the pairs are taken as equally spaced. `deadline_ms`: after
+    /// this CPU time the best estimate so far is returned. `cam_left_prev_from_cam_left_now`: the motion of the left camera since the previous
+    /// pair, 4x4, metres, if an arm knows it.
+    #[pyo3(signature = (left, right, region=None, *, time_ns=None, deadline_ms=None, cam_left_prev_from_cam_left_now=None))]
+    #[allow(clippy::too_many_arguments, reason = "keywords of Python")]
+    fn track(
+        &self,
+        py: Python<'_>,
+        left: &Bound<'_, PyAny>,
+        right: &Bound<'_, PyAny>,
+        region: Option<&Region>,
+        time_ns: Option<u64>,
+        deadline_ms: Option<f64>,
+        cam_left_prev_from_cam_left_now: Option<PyReadonlyArray2<'_, f64>>,
+    ) -> PyResult<TrackEstimate> {
+        let given = Given::of("left", left).and_then(|left| Ok([left, Given::of("right", right)?])).or_raise(py)?;
+        let pixels = given[0].pixels("left").and_then(|left| Ok([left, given[1].pixels("right")?])).or_raise(py)?;
+        let motion = cam_left_prev_from_cam_left_now
+            .map(|given| arrays::pose_of("cam_left_prev_from_cam_left_now", &given))
+            .transpose()
+            .or_raise(py)?;
+        let tracked = py.detach(|| {
+            let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut range = state.value_range;
+            let found = with_views(pixels, &mut range, |left, right| {
+                let mut warning = None;
+                if !state.is_checked {
+                    warning = check_pair(&self.rig, left, right).accepted().context(SWAP)?;
+                    state.is_checked = true;
+                }
+                let size = ImageSize { width: left.width(), height: left.height() };
+                let region = region.map(|region| region.in_images(size)).transpose()?;
+                let at = time_ns.map(MonotonicTime::from_nanos);
+                let before = std::mem::replace(&mut state.last_at, at);
+                let prior = FramePrior {
+                    dt_s: at.zip(before).map(|(at, before)| at.seconds_since(before)),
+                    ..FramePrior::of_motion(motion.as_ref())
+                };
+                let (estimate, millis) = timed(|| {
+                    let mut may_continue = within(deadline_ms);
+                    state.follower.look(left, right, region.as_deref(), &prior, &mut may_continue)
+                });
+                Ok(TrackEstimate::new(estimate?, millis, warning))
+            });
+            state.value_range = range;
+            found
+        });
+        tracked.or_raise(py)
+    }
+
+    /// Whether a region was marked and accepted.
+    #[getter]
+    fn is_started(&self, py: Python<'_>) -> bool {
+        py.detach(|| self.state.lock().unwrap_or_else(PoisonError::into_inner).follower.is_started())
+    }
+
+    /// The method.
+    #[getter]
+    fn method(&self) -> &'static str {
+        self.method.name()
+    }
+
+    /// The recovered surface in `model`: positions N x 3 in metres, unit normals N x 3 towards the first camera, colours N x 3. Empty before a
+    /// target was found, and for the published method.
+    fn surface<'py>(&self, py: Python<'py>) -> PyResult<Surface<'py>> {
+        let points =
+            py.detach(|| self.state.lock().unwrap_or_else(PoisonError::into_inner).follower.tracker().surface());
+        let positions =
+            points.iter().flat_map(|point| point.position_in_model_m.coords.iter().copied().collect::<Vec<_>>());
+        let normals = points.iter().flat_map(|point| point.normal_in_model.iter().copied().collect::<Vec<_>>());
+        let colours: Vec<u8> = points.iter().flat_map(|point| point.rgb).collect();
+        let colours: Bound<'py, PyArray1<u8>> = colours.into_pyarray(py);
+        Ok((
+            arrays::matrix(py, 3, positions.collect())?,
+            arrays::matrix(py, 3, normals.collect())?,
+            colours.reshape([points.len(), 3])?,
+        ))
+    }
+
+    fn __repr__(&self) -> String {
+        format!("Tracker({})", self.method)
+    }
+}

@@ -1,0 +1,129 @@
+"""Wrong arguments raise an error that names the thing, its value and the remedy; none is a panic."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+import pb3dp
+from conftest import CASES
+
+RECTANGLE = pb3dp.Region.rectangle(150, 120, 90, 80)
+
+
+def refused(call, *words):
+    """The error of a call, whose text has all of these words."""
+    with pytest.raises(pb3dp.Error) as raised:
+        call()
+    for word in words:
+        assert word in str(raised.value), str(raised.value)
+    return raised.value
+
+
+def test_images_of_another_kind(case):
+    _, pair, estimator = case
+    left, right = pair.left, pair.right
+    refused(lambda: estimator.estimate(left.astype(np.float32), right, RECTANGLE), "left", "float32", "uint8")
+    refused(lambda: estimator.estimate(left, right.astype(">u2"), RECTANGLE), "right", "uint16", "uint8")
+    refused(lambda: estimator.estimate(left, right.tolist(), RECTANGLE), "right", "list", "numpy array")
+    refused(lambda: estimator.estimate(left, None, RECTANGLE), "right", "NoneType")
+    refused(lambda: estimator.estimate(left[..., :2], right, RECTANGLE), "left", "2]", "height x width x 3")
+    refused(lambda: estimator.estimate(left.ravel(), right, RECTANGLE), "left", "shape", "height x width")
+    refused(lambda: estimator.estimate(left[:0], right, RECTANGLE), "left", "shape [0,")
+
+
+def test_images_of_another_size_have_a_code(case):
+    _, pair, estimator = case
+    error = refused(lambda: estimator.estimate(pair.left[:-1], pair.right, RECTANGLE), "the left image is", "calibration")
+    assert error.code is not None and error.code.startswith("PB3DP-EST-")
+
+
+def test_exchanged_images():
+    recording = pb3dp.Recording(CASES[0])
+    pair, estimator = recording[0], pb3dp.Estimator(recording.rig)
+    refused(lambda: estimator.estimate(pair.right, pair.left, RECTANGLE), "exchanged", "swap")
+
+
+def test_regions(case):
+    _, pair, estimator = case
+    outside = pb3dp.Region.rectangle(5000, 0, 90, 80)
+    error = refused(lambda: estimator.estimate(pair.left, pair.right, outside), "outside")
+    assert error.code is not None
+    refused(lambda: estimator.estimate(pair.left, pair.right, pb3dp.Region.click(-7, 1e12)), "-7")
+    refused(lambda: pb3dp.Region.rectangle(0, 0, 0, 80), "width 0", "positive")
+    refused(lambda: pb3dp.Region.rectangle(float("nan"), 0, 10, 80), "NaN", "not a number")
+    refused(lambda: pb3dp.Region.rectangle(0, 0, float("nan"), 80), "NaN")
+    refused(lambda: pb3dp.Region.polygon([[0, 0], [10, 0]]), "at least 3")
+    refused(lambda: pb3dp.Region.polygon(np.full((4, 2), np.inf)), "inf")
+    refused(lambda: pb3dp.Region.parse("circle:1,2,3"), "circle:1,2,3", "rect:X,Y,WIDTH,HEIGHT")
+    height, width = pair.left.shape[:2]
+    refused(lambda: pb3dp.Region.mask(np.ones((height, width), bool)), "mask", "black")
+    refused(lambda: pb3dp.Region.mask(np.zeros((height, width, 3), np.uint8)), "mask", "height x width")
+    refused(lambda: pb3dp.Region.mask(np.zeros((height, width))), "mask", "bool or uint8")
+    small = np.zeros((20, 20), bool)
+    small[5:15, 5:15] = True
+    refused(lambda: estimator.estimate(pair.left, pair.right, pb3dp.Region.mask(small)), "20 x 20")
+
+
+def test_a_mask_is_the_region_of_its_pixels(case):
+    _, pair, estimator = case
+    mask = np.zeros(pair.left.shape[:2], np.uint8)
+    mask[120:200, 150:240] = 255
+    of_mask = estimator.estimate(pair.left, pair.right, pb3dp.Region.mask(mask))
+    of_rectangle = estimator.estimate(pair.left, pair.right, RECTANGLE)
+    assert of_mask.z_m == of_rectangle.z_m
+    assert estimator.estimate(pair.left, pair.right, pb3dp.Region.mask(mask > 0)).z_m == of_mask.z_m
+
+
+def test_parameters(case):
+    rig = case[0].rig
+    refused(lambda: pb3dp.Estimator(rig, "visp"), "visp", "published, direct")
+    for bad in [(-1.0, 0.5), (0.0, 0.5), (0.6, 0.5), (float("nan"), 0.5), (0.3, float("inf"))]:
+        refused(lambda bad=bad: pb3dp.Estimator(rig, z_range_m=bad), "z_m")
+        refused(lambda bad=bad: pb3dp.Tracker(rig, z_range_m=bad), "z_m")
+    refused(lambda: pb3dp.Estimator(rig, tilt_max_rad=2.0), "tilt_max_rad", "2")
+    refused(lambda: pb3dp.Estimator(rig, value_range=(9, 9)), "value_range", "(9, 9)")
+    refused(lambda: pb3dp.Estimator(rig, config="nowhere.toml"), "nowhere.toml", "PB3DP-CFG-001")
+    with pytest.raises(TypeError):
+        pb3dp.Estimator("calib.json")
+    with pytest.raises(OverflowError):
+        pb3dp.Estimator(rig, seed=-1)
+
+
+def test_files(tmp_path):
+    error = refused(lambda: pb3dp.StereoRig.load(tmp_path / "calib.json"), "calib.json")
+    assert error.code is None or error.code.startswith("PB3DP-")
+    refused(pb3dp.StereoRig.load, "0")
+    broken = tmp_path / "calib.json"
+    broken.write_text("{")
+    refused(lambda: pb3dp.StereoRig.load(broken), "calib.json")
+    refused(lambda: pb3dp.Recording(tmp_path / "nowhere.mcap"), "nowhere.mcap")
+    refused(lambda: pb3dp.Recording(CASES[0], pair_within_ms=float("nan")), "pair_within_ms")
+    refused(lambda: pb3dp.read_image(tmp_path / "nowhere.png"), "nowhere.png")
+    with pytest.raises(IndexError, match="1 pairs"):
+        pb3dp.Recording(CASES[0])[1]
+
+
+def test_trackers(case):
+    recording, pair, _ = case
+    tracker = pb3dp.Tracker(recording.rig)
+    error = refused(lambda: tracker.track(pair.left, pair.right), "no target yet")
+    assert error.code is not None and not tracker.is_started
+    for motion in [np.eye(3), np.zeros((4, 4)), np.full((4, 4), np.nan), np.diag([1.0, 1.0, -1.0, 1.0])]:
+        refused(lambda motion=motion: tracker.track(pair.left, pair.right, RECTANGLE, cam_left_prev_from_cam_left_now=motion), "cam_left_prev")
+
+
+def test_numbers_at_random_never_panic(case):
+    _, pair, estimator = case
+    values = [0.0, -1.0, 1e300, -1e300, float("nan"), float("inf"), 3.5, 2**31, 2**63]
+    for numbers in itertools.islice(itertools.product(values, repeat=4), 0, None, 97):
+        try:
+            region = pb3dp.Region.rectangle(*numbers)
+            estimator.estimate(pair.left, pair.right, region, deadline_ms=0.0)
+        except pb3dp.Error as error:
+            assert str(error)
+    for numbers in itertools.islice(itertools.product(values, repeat=2), 0, None, 5):
+        try:
+            estimator.estimate(pair.left, pair.right, RECTANGLE, centroid_px=numbers, deadline_ms=numbers[0])
+        except pb3dp.Error as error:
+            assert str(error)

@@ -1,0 +1,99 @@
+"""Stubs, docstrings, pages and the notebook."""
+
+import inspect
+import re
+import subprocess
+import sys
+
+import nbformat
+import numpy as np
+import pytest
+from nbclient import NotebookClient
+
+import pb3dp
+from conftest import CASES, ROOT, estimator_of
+
+PAGES = ["README.md", "crates/python/README.md", "docs/how-to/from-python.md"]
+NOTEBOOK = ROOT / "docs/how-to/from-python.ipynb"
+
+
+def test_the_stubs_are_those_of_the_package():
+    done = subprocess.run([sys.executable, "-m", "mypy.stubtest", "pb3dp"], capture_output=True, text=True, check=False, cwd=ROOT / "tests/python")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_a_program_that_uses_the_package_passes_the_strict_check(tmp_path):
+    program = tmp_path / "program.py"
+    program.write_text(
+        "import pb3dp\n\nrecording = pb3dp.Recording('r.mcap')\nestimator = pb3dp.Estimator(recording.rig, z_range_m=recording.z_range_m)\n"
+        "region = recording.region or pb3dp.Region.click(3, 4)\nfor pair in recording:\n"
+        "    estimate = estimator.estimate(pair.left, pair.right, region)\n    pose = estimate.cam_left_from_model\n"
+        "    print(pose[:3, 3] if pose is not None else estimate.reason)\n"
+    )
+    done = subprocess.run([sys.executable, "-m", "mypy", "--strict", program], capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_everything_has_a_docstring():
+    for name in pb3dp.__all__:
+        thing = getattr(pb3dp, name)
+        if name == "__version__":
+            continue
+        assert inspect.getdoc(thing), name
+        for member, value in vars(thing).items() if inspect.isclass(thing) else ():
+            if not member.startswith("_") and name != "Error":
+                assert inspect.getdoc(value), f"{name}.{member}"
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_the_lines_of_a_page_run(page, monkeypatch, tmp_path):
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)
+    assert blocks, "a page without lines of Python"
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    names = {"__name__": "page"}
+    for block in blocks:
+        exec(compile(block, page, "exec"), names)  # noqa: S102
+
+
+def test_the_notebook_runs(monkeypatch):
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    notebook = nbformat.read(NOTEBOOK, as_version=4)
+    assert not any(cell.get("outputs") for cell in notebook.cells), "results are not part of the repository: clear the outputs"
+    NotebookClient(notebook, timeout=120, kernel_name="python3", resources={"metadata": {"path": str(ROOT)}}).execute()
+
+
+def test_a_pose_is_drawn(case, monkeypatch):
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    from pb3dp import plot
+
+    recording, pair, _ = case
+    estimate = estimator_of(recording).estimate(pair.left, pair.right, recording.region)
+    axes = plot.show_pose(pair.left, estimate, recording.rig)
+    assert "mm" in axes.get_title() and len(axes.lines) == 3
+    # The origin is drawn on the ray of the centroid.
+    assert np.allclose(axes.lines[0].get_xydata()[0], estimate.centroid_px, atol=1e-6)
+
+
+def test_a_rig_is_described(case):
+    rig = case[0].rig
+    assert rig.image_size == case[1].left.shape[1::-1] and 0.01 < rig.baseline_m < 1
+    assert rig.left_matrix.shape == (3, 3) and rig.cam_right_from_cam_left[0, 3] < 0
+    assert rig.left_distortion[0] == "none" and str(CASES[0].name) in rig.source
+    [pixel] = rig.project_left(np.array([[0.0, 0.0, 1.0]]))
+    assert np.allclose(pixel, rig.left_matrix[:2, 2])
+    assert np.isnan(rig.project_left(np.array([[0.0, 0.0, -1.0]]))).all()
+
+
+def test_every_calibration_format_is_read(tmp_path):
+    rig = pb3dp.StereoRig.load(CASES[0] / "calib.json")
+    same = pb3dp.StereoRig.load(CASES[0])
+    assert same.baseline_m == rig.baseline_m and same.format == "calib.json"
+    (width, height), m = rig.image_size, rig.left_matrix
+    fx, fy, cx, cy = m[0, 0], m[1, 1], m[0, 2], m[1, 2]
+    camera = f"  camera_model: pinhole\n  intrinsics: [{fx}, {fy}, {cx}, {cy}]\n  distortion_model: radtan\n  distortion_coeffs: [0, 0, 0, 0]\n"
+    camera += f"  resolution: [{width}, {height}]\n"
+    rows = "".join(f"  - {row.tolist()}\n" for row in rig.cam_right_from_cam_left)
+    kalibr = tmp_path / "camchain.yaml"
+    kalibr.write_text(f"cam0:\n{camera}cam1:\n{camera}  T_cn_cnm1:\n{rows}")
+    assert pb3dp.StereoRig.load(kalibr).baseline_m == pytest.approx(rig.baseline_m)

@@ -1,0 +1,128 @@
+"""The package computes what the program computes, to the bit."""
+
+import csv
+import json
+import math
+
+import numpy as np
+import pytest
+
+import pb3dp
+from conftest import CASES, estimator_of, lines, program, without_time
+
+
+def bits(matrix_mm, pose):
+    """Whether a homogeneous matrix of the program, in millimetres, is this pose."""
+    scale = np.ones((4, 4))
+    scale[:3, 3] = 1e3
+    return np.array_equal(np.reshape(matrix_mm, (4, 4)), pose * scale)
+
+
+def covariance_mm(covariance):
+    """In the units of the program, multiplied in its order."""
+    unit = np.array([1e3] * 3 + [1.0] * 3)
+    return covariance * unit[:, None] * unit[None, :]
+
+
+@pytest.mark.parametrize("method", ["direct", "published"])
+@pytest.mark.parametrize("folder", CASES, ids=lambda folder: folder.name)
+def test_estimates_of_cases(folder, method):
+    recording = pb3dp.Recording(folder)
+    pair = recording[0]
+    description = json.loads((folder / "case.json").read_text())
+    at = description.get("region_centroid_px")
+    estimate = estimator_of(recording, method).estimate(pair.left, pair.right, recording.region, centroid_px=at)
+    [line] = lines("estimate", "--cases", folder, "--method", method, "--json")
+    assert without_time(estimate.to_json(line["case"])) == line
+    assert estimate.status == line["status"] and estimate.reason == line["reason"] and estimate.warnings == line["warnings"]
+    if line["z_mm"] is None:
+        assert estimate.z_m is None and estimate.cam_left_from_model is None
+        return
+    assert (estimate.z_m * 1e3).hex() == line["z_mm"].hex()
+    assert estimate.normal.tolist() == line["normal"]
+    assert bits(line["cam_left_from_model"], estimate.cam_left_from_model)
+    assert (estimate.translation_m * 1e3).tolist() == line["point_mm"]
+    assert math.isclose(np.linalg.norm(estimate.quaternion_xyzw), 1.0, rel_tol=1e-12)
+    if line["covariance"] is None:
+        assert estimate.covariance is None
+    else:
+        assert covariance_mm(estimate.covariance).ravel().tolist() == line["covariance"]
+        assert list(estimate.observed) == line["observed"]
+
+
+def test_an_estimate_of_image_files_with_a_rectangle():
+    folder = CASES[1]
+    files = [folder / name for name in ("left.png", "right.png")]
+    rig = pb3dp.StereoRig.load(folder / "calib.json")
+    left, right = map(pb3dp.read_image, files)
+    region = "rect:150,120,90,80"
+    estimate = pb3dp.Estimator(rig, z_range_m=(350 * 1e-3, 800 * 1e-3)).estimate(left, right, pb3dp.Region.parse(region))
+    [line] = lines("estimate", "--left", files[0], "--right", files[1], "--calib", folder / "calib.json", "--region", region, "--z-range",
+                   "350,800", "--json")
+    assert without_time(estimate.to_json(line["case"])) == line
+    estimate = pb3dp.Estimator(rig).estimate(left, right, pb3dp.Region.rectangle(150, 120, 90, 80))
+    [line] = lines("estimate", "--left", files[0], "--right", files[1], "--calib", folder / "calib.json", "--region", region, "--json")
+    assert without_time(estimate.to_json(line["case"])) == line
+
+
+@pytest.mark.parametrize("method", ["direct", "published"])
+def test_a_tracked_recording(recorded, method):
+    recording = pb3dp.Recording(recorded / "run.mcap")
+    tracker = pb3dp.Tracker(recording.rig, method, z_range_m=recording.z_range_m, tilt_max_rad=recording.tilt_max_rad)
+    expected = lines("track", "--sequence", recorded / "run.mcap", "--method", method, "--json")
+    assert len(expected) == len(recording) > 20
+    for pair, line in zip(recording, expected, strict=True):
+        region = recording.region if pair.index == 0 else None
+        estimate = tracker.track(pair.left, pair.right, region, time_ns=pair.time_ns)
+        assert without_time(estimate.to_json(pair.index, pair.t_s)) == line
+        if line["cam_left_from_model"] is not None:
+            assert bits(line["cam_left_from_model"], estimate.cam_left_from_model)
+    positions, normals, colours = tracker.surface()
+    assert positions.shape == normals.shape == colours.shape and colours.dtype == np.uint8
+    assert (len(positions) > 100) == (method == "direct")
+
+
+def test_a_stepped_run(recorded):
+    with open(recorded / "out/estimates.csv") as table:
+        expected = list(csv.DictReader(table))
+    settings = {"scene.target": "card", "estimator.compare": []}
+    with pb3dp.Run("sim", settings=settings, stop_after_s=1.0) as run:
+        steps = list(run)
+    pairs = [pair for step in steps for pair in step.pairs]
+    assert len(steps) == 101 and steps[-1].t_s == 1.0
+    assert len(pairs) >= len(expected) - 1 > 20
+    for pair, row in zip(pairs, expected):
+        assert f"{pair.t_s:.6f}" == row["t_s"] and pair.estimate.status == row["status"]
+        translation_mm = pair.estimate.translation_m * 1e3
+        assert [f"{value:.4f}" for value in translation_mm] == [row[name] for name in ("x_mm", "y_mm", "z_mm")]
+        covariance = covariance_mm(pair.estimate.covariance)
+        written = [[float(row[f"c{i}{j}"]) for j in range(1, 7)] for i in range(1, 7)]
+        assert [[float(f"{value:.6e}") for value in line] for line in covariance] == written
+    for pair, stored in zip(pairs, pb3dp.Recording(recorded / "run.mcap")):
+        assert np.array_equal(pair.left, stored.left) and np.array_equal(pair.right, stored.right)
+
+
+def test_the_codes_are_those_of_the_program():
+    with pytest.raises(pb3dp.Error) as raised:
+        pb3dp.Run("nowhere.toml")
+    assert raised.value.code == "PB3DP-CFG-001" and raised.value.code in str(raised.value)
+    assert program("explain", raised.value.code)
+
+
+def test_a_recorded_run_as_arrays(recorded):
+    run = pb3dp.RecordedRun(recorded / "run.mcap")
+    settings = {"scene.target": "card", "estimator.compare": []}
+    with pb3dp.Run("sim", settings=settings, stop_after_s=1.0) as stepped:
+        steps = list(stepped)
+    pairs = [pair for step in steps for pair in step.pairs]
+    assert run.step_times_s.tolist() == [step.t_s for step in steps] and run.states == [step.state for step in steps]
+    assert np.array_equal(run.world_from_hand, [step.world_from_hand for step in steps])
+    assert np.array_equal(run.world_from_target, [step.world_from_target for step in steps])
+    for arm in (0, 1):
+        assert np.array_equal(run.joints_rad(arm), [step.joints_rad(arm) for step in steps])
+    assert np.array_equal(run.cam_left_from_model[: len(pairs)], [pair.estimate.cam_left_from_model for pair in pairs])
+    assert np.array_equal(run.covariances[: len(pairs)], [pair.estimate.covariance for pair in pairs])
+    assert np.array_equal(run.cam_left_from_target[: len(pairs)], [pair.cam_left_from_target for pair in pairs])
+    assert run.estimate_times_s.shape == (len(run.statuses),) and set(run.statuses) == {"ok"}
+    with pytest.raises(pb3dp.Error, match="case.json|calib.json|recording"):
+        pb3dp.RecordedRun(CASES[0] / "case.json")
