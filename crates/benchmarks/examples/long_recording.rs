@@ -16,7 +16,8 @@ use pb3dp_bag::pairs::{PairOptions, StereoBag};
 use pb3dp_bag::sinks::Sinks;
 use pb3dp_bag::writer::{BagWriter, WhenFull};
 use pb3dp_camera_settings::{
-    CameraConfig, CameraName, ControlSettings, Interval, ModeRequest, PixelFormat, SKEW_MAX, Setting, StampModel, StereoConfig,
+    CameraConfig, CameraName, ControlSettings, Interval, ModeRequest, PixelFormat, SKEW_MAX, Setting, StampModel,
+    StereoConfig,
 };
 use pb3dp_camera_v4l2::V4l2StereoCamera;
 use pb3dp_camera_v4l2::emulated::{EmulatedCamera, EmulatedSystem};
@@ -138,10 +139,7 @@ fn cameras(format: PixelFormat, fourcc: [u8; 4]) -> Result<(Arc<dyn Clock>, V4l2
             standard: None,
             takes_interlaced: false,
         },
-        controls: ControlSettings {
-            exposure: Setting::Manual(Duration::from_millis(4)),
-            ..ControlSettings::default()
-        },
+        controls: ControlSettings { exposure: Setting::Manual(Duration::from_millis(4)), ..ControlSettings::default() },
         exposure: None,
         stamps: StampModel::default(),
     };

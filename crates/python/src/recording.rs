@@ -9,7 +9,7 @@ use numpy::{PyArray1, PyArray3, PyArrayMethods};
 use pb3dp_cell::search_range::range_of_dataset;
 use pb3dp_hal_api::{FramePair, StereoCamera};
 use pb3dp_record::value_range::ValueRange;
-use pb3dp_wiring::{Recording as Inner, RecordingOptions, ReplayPace, wire_replay};
+use pb3dp_wiring::{Recording as Inner, RecordingOptions, ReplayPace, Topics, wire_replay};
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 
@@ -56,30 +56,24 @@ impl State {
 }
 
 /// What a recording does not state itself.
-struct Asked {
-    calibration: Vec<PathBuf>,
+fn options(
     topics: Option<[String; 2]>,
     pair_within_ms: f64,
     value_range: Option<(u16, u16)>,
-}
-
-impl Asked {
-    fn options(self) -> Result<RecordingOptions> {
-        if !(0.0..=1000.0).contains(&self.pair_within_ms) {
-            bail!("pair_within_ms is {}: must be between 0 and 1000 milliseconds", self.pair_within_ms);
-        }
-        let of_values = |(low, high)| {
-            ValueRange::new(low, high)
-                .ok_or_else(|| anyhow!("value_range is ({low}, {high}): the first value must be less than the second"))
-        };
-        Ok(RecordingOptions {
-            calibration: self.calibration,
-            topics: self.topics,
-            within: Duration::from_secs_f64(self.pair_within_ms * 1e-3),
-            range: self.value_range.map(of_values).transpose()?,
-            layout: None,
-        })
+) -> Result<RecordingOptions> {
+    if !(0.0..=1000.0).contains(&pair_within_ms) {
+        bail!("pair_within_ms is {pair_within_ms}: must be between 0 and 1000 milliseconds");
     }
+    let of_values = |(low, high)| {
+        ValueRange::new(low, high)
+            .ok_or_else(|| anyhow!("value_range is ({low}, {high}): the first value must be less than the second"))
+    };
+    Ok(RecordingOptions {
+        topics: topics.map(Topics),
+        pair_within: Duration::from_secs_f64(pair_within_ms * 1e-3),
+        range: value_range.map(of_values).transpose()?,
+        layout: None,
+    })
 }
 
 impl Recording {
@@ -106,8 +100,8 @@ impl Recording {
         pair_within_ms: f64,
         value_range: Option<(u16, u16)>,
     ) -> PyResult<Self> {
-        let options = Asked { calibration, topics, pair_within_ms, value_range }.options().or_raise(py)?;
-        let opened = py.detach(|| wire_replay(&path, &options, ReplayPace::Fast)).or_raise(py)?;
+        let options = options(topics, pair_within_ms, value_range).or_raise(py)?;
+        let opened = py.detach(|| wire_replay(&path, &calibration, &options, ReplayPace::Fast)).or_raise(py)?;
         let calibration = opened.camera.calibration().clone();
         let range = opened.search.as_ref().map(range_of_dataset);
         let notes = opened.notes.iter().chain(&calibration.notes).cloned().collect();

@@ -116,6 +116,8 @@ const WORLDS: [World; 6] = [
             "crates/panel/src/state_of.rs",
             "crates/wiring/src/lib.rs",
             "crates/wiring/src/calibration.rs",
+            "crates/recording/src/pairs.rs",
+            "crates/calibration/src/command/source.rs",
             "crates/commissioning/",
             "crates/orchestrator/",
             "hal/clock/",

@@ -12,7 +12,7 @@ use pb3dp_record::images::{EXTENSIONS, load_rgb, load_rgb_of_size, size_of};
 use pb3dp_record::stops::{Stop, Stops};
 
 use super::DetectedBoards;
-use super::source::{PairFiles, StopFiles};
+use super::source::{PairFiles, StopFiles, written};
 
 /// The images of each view, by view name.
 pub(super) struct Images<const N: usize> {
@@ -142,17 +142,6 @@ impl Images<2> {
         let told = told.collect::<Vec<_>>().join("\n");
         Ok(DetectedBoards { told, folder: pairs.folder().to_path_buf(), _unpacked: pairs.unpacked, ..seen })
     }
-}
-
-/// Modification time of the newest image, RFC 3339; it dates the calibration.
-pub(super) fn written<'a>(files: impl Iterator<Item = &'a PathBuf>) -> Result<String> {
-    let mut times = Vec::new();
-    for file in files {
-        let time = std::fs::metadata(file).and_then(|metadata| metadata.modified());
-        times.push(time.with_context(|| format!("{}: cannot read modification time", file.display()))?);
-    }
-    let newest = times.into_iter().max().context("no images")?;
-    Ok(humantime::format_rfc3339_seconds(newest).to_string())
 }
 
 /// One view, or the image in which the board was not detected and the reason.

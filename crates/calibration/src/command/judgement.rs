@@ -11,8 +11,6 @@ use pb3dp_record::calibration_files::{
     CAMERAS_FILE, CameraIdentity, JudgedGate, Judgement, ParameterCovariance, load_cameras,
 };
 
-/// The file in a recording folder that identifies the cameras.
-
 /// The cameras in the file `named`, or in the `cameras.toml` in the folder of the left images or above it; unknown without a
 /// file.
 pub(super) fn cameras(named: Option<&Path>, left: &Path) -> Result<[CameraIdentity; 2]> {

@@ -17,8 +17,8 @@ use pb3dp_geometry::ImageSize;
 use pb3dp_record::images::{load_rgb, load_rgb_of_size, size_of};
 
 use super::DetectedBoards;
-use super::images::{Images, agreed, written};
-use super::source::{PairFiles, StopFiles};
+use super::images::{Images, agreed};
+use super::source::{PairFiles, StopFiles, written};
 
 /// Maximum number of pairs checked, and the minimum time between them.
 const LOOKS_MAX: u64 = 400;

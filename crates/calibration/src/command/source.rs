@@ -124,16 +124,18 @@ impl StopFiles {
             }
             unpacked.push(Stop { left, right, vs: *vs, tc: *tc });
         }
-        let date = recorded.first().and_then(|stop| date_of(stop.at)).map_or_else(|| file_date(path), Ok)?;
+        let date = recorded
+            .first()
+            .and_then(|stop| date_of(stop.at))
+            .map_or_else(|| written([path.to_path_buf()].iter()), Ok)?;
         let stops = Stops { date, stops: unpacked };
         Ok(Self { folder: folder.path().to_path_buf(), stops, _unpacked: Some(folder) })
     }
 }
 
 fn temporary_folder() -> Result<TempDir> {
-    tempfile::Builder::new().prefix("pb3dp-calibrate-").tempdir().with_context(|| {
-        format!("no temporary folder for the images of the recording in {}; set TMPDIR", std::env::temp_dir().display())
-    })
+    let folder = tempfile::Builder::new().prefix("pb3dp-calibrate-").tempdir();
+    folder.context("no temporary folder for the images of the recording; set TMPDIR to a folder with free space")
 }
 
 /// Writes the identities of the cameras in an MCAP recording, if it has them.
@@ -150,6 +152,13 @@ fn date_of(at: MonotonicTime) -> Option<String> {
     (since_1970 > CALENDAR_FROM).then(|| humantime::format_rfc3339_seconds(UNIX_EPOCH + since_1970).to_string())
 }
 
-fn file_date(path: &Path) -> Result<String> {
-    super::images::written([path.to_path_buf()].iter())
+/// Modification time of the newest image, RFC 3339; it dates the calibration.
+pub(super) fn written<'a>(files: impl Iterator<Item = &'a PathBuf>) -> Result<String> {
+    let mut times = Vec::new();
+    for file in files {
+        let time = std::fs::metadata(file).and_then(|metadata| metadata.modified());
+        times.push(time.with_context(|| format!("{}: cannot read modification time", file.display()))?);
+    }
+    let newest = times.into_iter().max().context("no images")?;
+    Ok(humantime::format_rfc3339_seconds(newest).to_string())
 }

@@ -149,7 +149,7 @@ fn one_file_is_enough_for_a_visit() {
     visit(&folder.path().join("look")).assert_refused(&["use --out"]);
     let written: Vec<_> =
         std::fs::read_dir(file.parent().unwrap()).unwrap().map(|entry| entry.unwrap().path()).collect();
-    assert_eq!(written, [file.clone()], "nothing else is written");
+    assert_eq!(written, std::slice::from_ref(&file), "nothing else is written");
 
     let poses = folder.path().join("poses.toml");
     let calib = repository().join("configs/calibration/nominal.json");
