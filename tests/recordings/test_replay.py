@@ -11,10 +11,21 @@ from mcap.writer import Writer
 
 @pytest.fixture(scope="session")
 def live(tmp_path_factory):
-    """A live run with threads and arms behind links, recorded."""
-    base = tmp_path_factory.mktemp("live")
-    pb3dp("run", "--config", "hil", "--stop-after", 4, "--out", base / "out", "--record", base / "run.mcap")
-    return base / "run.mcap"
+    """A live run with threads and arms behind links, recorded.
+
+    A computer that stands still for a tenth of a second loses its arms, rightly: then the run is made again.
+    """
+    failure = None
+    for _ in range(3):
+        base = tmp_path_factory.mktemp("live")
+        try:
+            pb3dp("run", "--config", "hil", "--stop-after", 4, "--out", base / "out", "--record", base / "run.mcap")
+            return base / "run.mcap"
+        except AssertionError as stalled:
+            failure = stalled
+            if "PB3DP-ARM" not in str(stalled):
+                break
+    raise failure
 
 
 def compared(text, kind):
