@@ -130,6 +130,13 @@ fn views_are_chosen_from_a_recording_and_the_head_is_found() {
     assert_eq!((judgement.date, judgement.cameras[1].serial.as_deref()), (date, Some("R-2")));
 }
 
+fn rgb_message(image: RgbImage, at: MonotonicTime) -> Image {
+    let (width, height) = image.dimensions();
+    let header = Header { stamp: at.into(), frame_id: String::new() };
+    let (encoding, data) = ("rgb8".to_owned(), Bytes(image.into_raw()));
+    Image { header, height, width, encoding, is_bigendian: 0, step: 3 * width, data }
+}
+
 /// The images of a sequence in an MCAP file, with the identities of the cameras, as ROS 2 messages of another program. Returns when the last one
 /// was taken.
 fn as_mcap(folder: &Path, file: &Path) -> String {
@@ -145,11 +152,7 @@ fn as_mcap(folder: &Path, file: &Path) -> String {
         let at = MonotonicTime::ZERO + begin + Duration::from_secs_f64(*time_s);
         let (left, right) = sequence.image_files(number);
         for (name, topic) in [(left, "/left/image_raw"), (right, "/right/image_raw")] {
-            let image = load_rgb(&name).expect("an image");
-            let (width, height) = image.dimensions();
-            let header = Header { stamp: at.into(), frame_id: String::new() };
-            let (encoding, data) = ("rgb8".to_owned(), Bytes(image.into_raw()));
-            writer.push(topic, at, &Image { header, height, width, encoding, is_bigendian: 0, step: 3 * width, data });
+            writer.push(topic, at, &rgb_message(load_rgb(&name).expect("an image"), at));
         }
     }
     writer.finish().expect("written");
@@ -257,6 +260,29 @@ fn each_stop_of_an_arm_is_a_view() {
     let seen = fs::read_to_string(&corners).expect("corners");
     assert!(text(&output).contains("views = 6.000"), "{}", text(&output));
     assert!(seen.contains("\nstop 00,left,0,0,") && seen.contains("\nstop 05,right,8,5,"), "{}", text(&output));
+}
+
+/// Cameras without a common trigger: their images are 4 ms apart.
+#[test]
+fn each_stop_in_a_file_is_a_view() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let studio = Studio::new(rig());
+    let file = folder.path().join("stops.mcap");
+    let mut writer = BagWriter::create(&file, WhenFull::Wait).expect("a file");
+    for (number, place) in (0..6).zip(&places(&studio.rig)) {
+        let at = MonotonicTime::ZERO + Duration::from_secs(1_777_863_742 + 5 * number);
+        let topics = [("/left/image_raw", at), ("/right/image_raw", at + Duration::from_millis(4))];
+        for (image, (topic, at)) in studio.pair(place, 0.0).into_iter().zip(topics) {
+            writer.push(topic, at, &rgb_message(image, at));
+        }
+        let stand =
+            pb3dp_bag::stops::of_stand(&ArmStand { joints_rad: [0.1; 7], base_from_flange: Pose::coincident() });
+        writer.push("/pb3dp/stops", at, &pb3dp_bag::run_messages::Stop { stamp: at.into(), vs: stand, tc: Vec::new() });
+    }
+    writer.finish().expect("written");
+    let path = file.display().to_string();
+    let output = calibrate(&["stereo", "--recording", &path, "--board", "9x6", "--square", "25", "--lens", "radial-1"]);
+    assert!(text(&output).contains("views = 6.000"), "{}", text(&output));
 }
 
 /// The cameras see a stationary board from many stops.

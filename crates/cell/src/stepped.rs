@@ -183,7 +183,7 @@ impl RunRecorder for Stepper {
     }
 }
 
-/// The operator of a command, with a caller who says how the hand moves.
+/// The operator of a command, with a caller who states how the hand moves.
 struct ByCaller(Arc<Mutex<MotionRequest>>);
 
 impl Operator for ByCaller {

@@ -84,6 +84,11 @@ impl Kind {
     }
 }
 
+/// The recording at a path: the description of a bag stands for its folder.
+pub fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|_| path.is_file() && path.ends_with("metadata.yaml")).unwrap_or(path)
+}
+
 /// A folder of no kind that is read.
 pub(crate) fn no_recording(path: &Path, error: CameraError) -> CameraError {
     let message = format!(

@@ -12,6 +12,6 @@ mod options;
 mod pairs;
 mod source;
 
-pub use kind::Kind;
+pub use kind::{Kind, folder_of};
 pub use options::{Layout, RecordingOptions, Topics};
 pub use pairs::{PERIOD, RecordedPairs};

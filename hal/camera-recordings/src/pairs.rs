@@ -15,7 +15,7 @@ use pb3dp_record::value_range::ValueRange;
 use crate::bag::BagImages;
 use crate::euroc;
 use crate::folder::{image_pairs, images_with_both};
-use crate::kind::{Kind, no_recording, unusable_bag};
+use crate::kind::{Kind, folder_of, no_recording, unusable_bag};
 use crate::options::{Layout, RecordingOptions};
 use crate::source::{Place, Source, TimedPairs};
 
@@ -41,6 +41,7 @@ impl RecordedPairs {
     /// # Errors
     /// Kind `Unusable` if the recording or its description cannot be used.
     pub fn open(path: &Path, asked: &RecordingOptions) -> Result<Self, CameraError> {
+        let path = folder_of(path);
         Self::of(path, &Kind::of(path, asked)?, asked, PERIOD)
     }
 

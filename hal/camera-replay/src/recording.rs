@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use pb3dp_camera_recordings::{Kind, RecordedPairs, RecordingOptions};
+use pb3dp_camera_recordings::{Kind, RecordedPairs, RecordingOptions, folder_of};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_hal_api::CameraError;
@@ -42,8 +42,7 @@ impl Recording {
         asked: &RecordingOptions,
         options: ReplayOptions,
     ) -> Result<Self, CameraError> {
-        // The description of a bag stands for its folder.
-        let path = path.parent().filter(|_| path.is_file() && path.ends_with("metadata.yaml")).unwrap_or(path);
+        let path = folder_of(path);
         let kind = Kind::of(path, asked)?;
         let mut pairs = RecordedPairs::of(path, &kind, asked, options.period)?;
         let calibration = kind.calibration(path, calibration)?;

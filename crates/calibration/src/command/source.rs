@@ -18,6 +18,9 @@ use tempfile::TempDir;
 /// Times on a clock that counts since 1970 are later than this: the year 2000.
 const CALENDAR_FROM: Duration = Duration::from_secs(946_684_800);
 
+/// Longest time between both images of a stop.
+const PAIR_OF_STOP_WITHIN: Duration = Duration::from_millis(100);
+
 /// The pairs of a recording as files.
 pub(super) struct PairFiles {
     /// The recording, as the user has named it.
@@ -109,7 +112,9 @@ impl StopFiles {
         if recorded.is_empty() {
             bail!("{}: no stops of an arm in it; `pb3dp arm visit --record FILE.mcap` records them", path.display());
         }
-        let mut pairs = RecordedPairs::open(path, &RecordingOptions::default())?;
+        // Stops are seconds apart: also images of cameras without a common trigger belong together.
+        let asked = RecordingOptions { pair_within: PAIR_OF_STOP_WITHIN, ..RecordingOptions::default() };
+        let mut pairs = RecordedPairs::open(path, &asked)?;
         let folder = temporary_folder()?;
         unpack_identities(path, folder.path())?;
         let mut unpacked = Vec::with_capacity(recorded.len());
