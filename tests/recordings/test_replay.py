@@ -1,5 +1,6 @@
 """Recorded runs, run again."""
 
+import csv
 import json
 import subprocess
 
@@ -142,6 +143,12 @@ def test_changes_without_effect_are_refused(run):
         assert done.returncode == 1 and "--set " in done.stderr and "this key" in done.stderr, done.stderr
 
 
+def test_a_refused_change_names_the_recording_and_the_key(run):
+    done = subprocess.run([PB3DP, "replay", run / "run.mcap", "--set", "servo.nonsense=3"], capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and f"{run / 'run.mcap'}:\n  servo.nonsense: unknown key" in done.stderr, done.stderr
+    assert "pb3dp-replay" not in done.stderr, done.stderr
+
+
 def test_damage_is_told(run, tmp_path):
     data = bytearray((run / "run.mcap").read_bytes())
     middle = len(data) // 2
@@ -196,3 +203,28 @@ def test_the_report_of_a_recording_has_the_figures_of_the_run(tmp_path):
     assert (tmp_path / "out/settings.toml").read_text() == (tmp_path / "report/settings.toml").read_text()
     page = (tmp_path / "report/report.html").read_text()
     assert "<svg" in page and "recording " in page
+
+
+def rows(table):
+    """The rows, without the wanted pose: it depends on the first estimate of the run."""
+    with table.open(newline="") as text:
+        return [{key: value for key, value in row.items() if not key.startswith("wanted_")} for row in csv.DictReader(text)]
+
+
+def test_the_middle_of_a_run_is_reported_as_it_was_recorded(tmp_path):
+    """As the newest seconds at a fault: without the begin of the run."""
+    pb3dp("run", "--config", "sim", "--set", "scene.target=card", "--set", "run.pace=fast", "--set", "estimator.compare=[]", "--stop-after", 1.5,
+          "--out", tmp_path / "out", "--record", tmp_path / "long/run.mcap", "--rotate-mb", "20")
+    continuation = sorted((tmp_path / "long").iterdir())[1]
+    text = pb3dp("report", continuation, "--out", tmp_path / "report")
+    assert "its control is shown as recorded" in text, text
+    for table in ("estimates.csv", "timeseries.csv"):
+        whole, part = (rows(tmp_path / folder / table) for folder in ("out", "report"))
+        first, last = (float(part[end]["t_s"]) for end in (0, -1))
+        assert 10 < len(part) < len(whole) and first > 0.2, table
+        assert part == [row for row in whole if first <= float(row["t_s"]) <= last], table
+    summary = json.loads((tmp_path / "report/summary.json").read_text())["summary"]
+    assert summary["supervisor"]["share_by_state"].keys() <= {"approaching", "tracking"}, summary["supervisor"]
+    # Its control cannot be replayed.
+    done = subprocess.run([PB3DP, "replay", continuation], capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and "pb3dp report" in done.stderr, done.stderr

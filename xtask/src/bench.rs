@@ -43,6 +43,9 @@ const QUICK_ROUNDS: &str = "40";
 ///         Writes docs/benchmarks/calibration.md
 /// panel   cost of the operator panel: processor time and lateness of control steps with 0, 1 and 5 pages; fails if a limit is
 ///         missed (6 minutes; --quick). Writes docs/benchmarks/panel.md
+/// recordings  what a recording costs a live run (lateness, size, rate), how long its replay takes, ten minutes of two cameras in one
+///         file; fails if a limit is missed (20 minutes on two idle cores; --quick; --folder DIR for the files, 4 GB).
+///         Writes docs/benchmarks/recordings.md
 /// all     speed and raster
 ///
 /// All are in crates/benchmarks, except `corner_accuracy` of crates/calibration and `panel_cost` of crates/panel: the examples
@@ -74,6 +77,7 @@ enum What {
     Safety,
     Calibration,
     Panel,
+    Recordings,
     All,
 }
 
@@ -109,6 +113,9 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     }
     if args.what == What::Panel {
         return example(workspace, ("pb3dp-panel", "panel_cost", "panel.md"), &args.options);
+    }
+    if args.what == What::Recordings {
+        return recordings(workspace, &args.options);
     }
     let wanted = |what: What| args.what == What::All && OF_ALL.contains(&what) || args.what == what;
     let takes_options = PROGRAMS.iter().any(|(what, _)| *what == args.what);
@@ -168,6 +175,16 @@ fn example(
     }
     command.args(options);
     run_visibly(&mut command)
+}
+
+/// Runs the example `recordings` with the program that it measures.
+fn recordings(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
+    let mut build = workspace.cargo();
+    build.args(["build", "--release", "--locked", "--package", "pb3dp-orchestrator", "--bin", "pb3dp"]);
+    run_visibly(&mut build)?;
+    let target = workspace.metadata()?["target_directory"].as_str().context("cargo has no target folder")?.to_owned();
+    let program = ["--program".to_owned(), format!("{target}/release/pb3dp")];
+    example(workspace, ("pb3dp-benchmarks", "recordings", "recordings.md"), &[&program, options].concat())
 }
 
 /// Runs a subcommand of `pb3dp-bench` in the user's current folder, so that relative paths are correct.

@@ -19,6 +19,7 @@ use crate::follower::Follower;
 pub struct Onlooker {
     method: Method,
     follower: Follower,
+    has_target: bool,
     log: MethodLog,
 }
 
@@ -30,14 +31,19 @@ impl Onlooker {
     pub fn all_of(setup: &Setup) -> Result<Vec<Self>> {
         let onlooker = |&method: &Method| {
             let tracker = Tracker::new(method, &setup.rig.stereo, &setup.estimator)?;
-            Ok(Self { method, follower: Follower::new(tracker, setup.range), log: MethodLog::new(method) })
+            let follower = Follower::new(tracker, setup.range);
+            Ok(Self { method, follower, has_target: false, log: MethodLog::new(method) })
         };
         setup.compared.iter().map(onlooker).collect()
     }
 
     /// Processes a pair: the first one with the operator's region, later ones with the known camera motion. Its errors are recorded and do
-    /// not affect the run.
+    /// not affect the run. Pairs before the first region are left out: a recording may begin in the middle of a run.
     pub fn look(&mut self, pair: &FramePair, frame: &Frame<'_>) {
+        self.has_target |= frame.region.is_some();
+        if !self.has_target {
+            return;
+        }
         let started = Instant::now();
         let outcome = self.follower.look(&pair.left, &pair.right, frame.region, frame.prior, &mut || true);
         let latency_millis = started.elapsed().as_secs_f64() * 1e3;

@@ -10,7 +10,7 @@ use pb3dp_setup::setup::Setup;
 use super::cell::SimulatedCell;
 use super::channels::Plan;
 use super::commands::CommandSummary;
-use super::log::{ControlSample, Lock, MethodLog, RunLog};
+use super::log::{ArmSample, ControlSample, Lock, MethodLog, RunLog};
 use super::moving::Moved;
 use super::noting::EstimateRecords;
 use super::strip::Strip;
@@ -46,6 +46,18 @@ impl TruePoses {
             world_from_target: cell.world_from_target_at(at),
         })
     }
+}
+
+/// A control step of which only a recording is left.
+pub struct RecordedStep {
+    /// Begin of the step.
+    pub at: MonotonicTime,
+    /// Controller mode.
+    pub mode: String,
+    /// State of the supervisor.
+    pub state: State,
+    /// The arm that carries the cameras, and the one that carries the target.
+    pub arms: [ArmSample; 2],
 }
 
 /// Records control steps.
@@ -101,11 +113,27 @@ impl Journal {
         if !self.is_quiet {
             self.tell(t_s, moved, gone, transition);
         }
+        self.sample((t_s, moved.mode.to_string()), moved.arms, poses);
+    }
+
+    /// Records a step of a recording, with the true poses if they are known.
+    pub fn note_recorded(&mut self, step: RecordedStep, poses: Option<TruePoses>) {
+        let t_s = step.at.seconds_since(self.begin);
+        self.log.supervision.note_state(t_s, step.state);
+        self.sample((t_s, step.mode), step.arms, poses);
+    }
+
+    /// Records a change of state of a recording.
+    pub fn note_change(&mut self, change: TransitionNote) {
+        self.log.supervision.note_change(change);
+    }
+
+    fn sample(&mut self, (t_s, mode): (f64, String), arms: [ArmSample; 2], poses: Option<TruePoses>) {
         let Some(TruePoses { world_from_hand, world_from_target }) = poses else {
             self.steps_untrue += 1;
             return;
         };
-        let jacobian = self.chain.jacobian(&moved.vs_joints.position_rad);
+        let jacobian = self.chain.jacobian(&arms[0].position_rad);
         self.log.control.push(ControlSample {
             t_s,
             world_from_target,
@@ -113,9 +141,9 @@ impl Journal {
             // Filled in at the end of the run.
             world_from_hand_wanted: Pose::coincident(),
             world_from_hand_locked: Pose::coincident(),
-            mode: moved.mode.to_string(),
+            mode,
             smallest_singular_value: smallest_singular_value(&jacobian),
-            arms: moved.arms,
+            arms,
         });
     }
 

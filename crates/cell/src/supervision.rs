@@ -90,15 +90,12 @@ impl SupervisionLog {
 
     /// Records a step; returns the state change, if there is one.
     pub fn note(&mut self, t_s: f64, decision: &Decision) -> Option<&TransitionNote> {
-        self.steps_by_state[decision.state as usize] += 1;
-        if t_s < INITIALISING_S && self.steps_following() == 0 {
-            self.steps_initialising += 1;
-        }
+        self.note_state(t_s, decision.state);
         for condition in decision.found.iter() {
             self.steps_found[condition as usize] += 1;
         }
         let transition = decision.transition?;
-        self.transitions.push(TransitionNote {
+        self.note_change(TransitionNote {
             t_s,
             from: transition.from.name(),
             to: transition.to.name(),
@@ -106,6 +103,19 @@ impl SupervisionLog {
             why: decision.why.to_string(),
         });
         self.transitions.last()
+    }
+
+    /// Records the state in a step.
+    pub fn note_state(&mut self, t_s: f64, state: State) {
+        self.steps_by_state[state as usize] += 1;
+        if t_s < INITIALISING_S && self.steps_following() == 0 {
+            self.steps_initialising += 1;
+        }
+    }
+
+    /// Records a change of state.
+    pub fn note_change(&mut self, change: TransitionNote) {
+        self.transitions.push(change);
     }
 
     fn steps_following(&self) -> u64 {

@@ -52,6 +52,17 @@ pub enum ConfigError {
     },
 }
 
+impl ConfigError {
+    /// The same for values of a file that the user knows by this name.
+    #[must_use]
+    pub fn named(self, name: &Path) -> Self {
+        match self {
+            Self::Values { lines, .. } => Self::Values { file: name.to_path_buf(), lines },
+            other => other,
+        }
+    }
+}
+
 /// Kind of a configuration file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FileKind {

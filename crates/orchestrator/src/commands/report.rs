@@ -33,10 +33,17 @@ pub fn run(args: &ReportArgs) -> Result<ExitCode> {
     let _results = ResultFolder::take(&args.out)?;
     let replayed = opened.replay(None, true)?;
     let outcome = replayed.outcome.context("the replay kept no record: this is a bug, please report it")?;
-    let failure = match &replayed.end {
-        None => Some("the recording was broken off".to_owned()),
-        Some(end) => end.failure.clone(),
+    let failure = match (&replayed.end, replayed.begins_s) {
+        // The newest seconds at a fault end with it.
+        (None, None) => Some("the recording was broken off".to_owned()),
+        (None, Some(_)) => None,
+        (Some(end), _) => end.failure.clone(),
     };
+    if let Some(begins_s) = replayed.begins_s {
+        print_line(&format!(
+            "the recording begins {begins_s:.1} s after the begin of its run; its control is shown as recorded"
+        ))?;
+    }
     let made = Made {
         configuration: format!("recording {}, by {}", args.file.display(), replayed.version),
         commit: crate::COMMIT,

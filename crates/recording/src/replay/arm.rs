@@ -76,12 +76,11 @@ impl SharedScript {
         let mut script = self.lock();
         for (side, arm) in script.arms.iter_mut().enumerate() {
             let is_ours = |of: u8| usize::from(of) == side;
-            let call = first.calls.iter().find(|call| is_ours(call.arm) && call.call == "enabled");
-            let call = call.with_context(|| {
+            let call = before_first(first, side).with_context(|| {
                 format!(
                     "the recording begins in the middle of a run, as the newest seconds at a fault do: it lacks the begin of {}, so the \
                      state of the control is not known; name a recording of the whole run (--record), or the folder of one that \
-                     is divided; `pb3dp track --sequence` estimates from the images again",
+                     is divided; `pb3dp report` shows what it has, and `pb3dp track --sequence` estimates from the images again",
                     ARM_NAMES[side]
                 )
             })?;
@@ -139,6 +138,15 @@ impl SharedScript {
     pub fn differences(&self) -> Differences {
         std::mem::take(&mut self.lock().differences)
     }
+}
+
+/// Whether the step tells how both arms were before it: it is the first of a run.
+pub fn has_begin(first: &ControlStep) -> bool {
+    (0..ARM_NAMES.len()).all(|side| before_first(first, side).is_some())
+}
+
+fn before_first(first: &ControlStep, side: usize) -> Option<&ArmCall> {
+    first.calls.iter().find(|call| usize::from(call.arm) == side && call.call == "enabled")
 }
 
 /// Changes and calls of one arm in the order in which they happened.

@@ -7,6 +7,7 @@
 
 mod arm;
 mod differences;
+mod past;
 mod reporting;
 mod source;
 
@@ -17,6 +18,7 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use pb3dp_bag::messages::LogLine;
 use pb3dp_bag::run_messages::{ControlStep, PairResult};
 use pb3dp_bag::sinks::Sinks;
 use pb3dp_cell::capturing::Captured;
@@ -38,8 +40,9 @@ use pb3dp_servo::supervisor::FrameInput;
 use pb3dp_setup::setup::{Leader, Setup, read_layers};
 use pb3dp_sim::trajectory::Trajectory;
 
-use self::arm::SharedScript;
+use self::arm::{SharedScript, has_begin};
 pub use self::differences::{Compared, Differences, First, Kind};
+use self::past::Past;
 use self::reporting::Reporting;
 use self::source::{Item, RecordedPair, RecordedRun};
 use crate::estimates::{is_same_estimate, pair_result, recorded_estimate};
@@ -94,6 +97,8 @@ pub struct Replayed {
     pub differences: Differences,
     /// Inputs that are missing in the recording.
     pub notes: Vec<String>,
+    /// Time at which a recording without the begin of its run begins, seconds since then: its control is as recorded.
+    pub begins_s: Option<f64>,
     /// A person led the run.
     pub is_led_by_person: bool,
     /// The end of the run; none if the recording was broken off.
@@ -110,7 +115,9 @@ impl Opened {
     pub fn new(path: &Path, options: &ReplayOptions) -> Result<Self> {
         refuse_without_effect(options)?;
         let run = RecordedRun::open(path, options.estimates != Estimates::Recorded)?;
-        let mut setup = read_layers(&run.setup_args(&options.set)).context("the settings of the recording")?;
+        // The settings are in a temporary folder.
+        let read = read_layers(&run.setup_args(&options.set)).map_err(|error| error.named(path));
+        let mut setup = read.context("the settings of the recording")?;
         setup.layers = setup.layers.with_origins_of(&run.setup_text);
         Ok(Self { file: path.to_path_buf(), run, setup, estimates: options.estimates })
     }
@@ -157,12 +164,14 @@ impl Opened {
         let (give_items, read_ahead) = sync_channel(READ_AHEAD);
         let mut replay = Replay {
             begin,
+            since_1970_nanos: run.begin.since_1970_nanos,
             items: read_ahead,
             script,
             moving,
             estimating,
             recording,
             reporting,
+            past: Past::default(),
             end: None,
             steps: VecDeque::new(),
             pairs: VecDeque::new(),
@@ -251,6 +260,7 @@ struct Progress {
 
 struct Replay<'a> {
     begin: MonotonicTime,
+    since_1970_nanos: u64,
     /// Steps and pairs, read by a thread of its own.
     items: Receiver<Result<Item>>,
     script: SharedScript,
@@ -258,6 +268,8 @@ struct Replay<'a> {
     estimating: Option<(Estimating<'a>, Selections)>,
     recording: Option<Box<dyn RunRecorder>>,
     reporting: Option<Reporting<'a>>,
+    /// The control, if it cannot be replayed.
+    past: Past,
     end: Option<RunEnd>,
     /// Read ahead, in their order.
     steps: VecDeque<ControlStep>,
@@ -291,6 +303,7 @@ impl Replay<'_> {
                 match self.items.recv().ok().transpose()? {
                     Some(Item::Step(step)) => self.steps.push_back(*step),
                     Some(Item::Pair(pair)) => self.pairs.push_back(*pair),
+                    Some(Item::Event(line)) => self.event(&line),
                     Some(Item::End(end)) => self.end = Some(end),
                     None => self.progress.is_read = true,
                 }
@@ -404,6 +417,12 @@ impl Replay<'_> {
         if self.progress.control_is_over {
             return Ok(());
         }
+        if is_first && self.estimating.is_none() && self.reporting.is_some() && !has_begin(&step) {
+            self.past.begins_s = Some(t_s);
+        }
+        if self.past.begins_s.is_some() {
+            return self.as_recorded(&step);
+        }
         if is_first {
             self.script.begin(&mut step)?;
             if !self.moving.enable()? {
@@ -428,6 +447,22 @@ impl Replay<'_> {
             (Err(_), false) => self.progress.control_is_over = true,
         }
         Ok(())
+    }
+
+    /// Keeps a step for the report that cannot be replayed.
+    fn as_recorded(&mut self, step: &ControlStep) -> Result<()> {
+        let Some(reporting) = &mut self.reporting else { return Ok(()) };
+        if let Some(recorded) = self.past.step(step)? {
+            reporting.recorded(recorded, true_poses(step)?);
+        }
+        Ok(())
+    }
+
+    fn event(&mut self, line: &LogLine) {
+        if self.reporting.is_some() {
+            let at_nanos = line.stamp.nanos().saturating_sub(self.since_1970_nanos);
+            self.past.event(line, self.t_s(at_nanos));
+        }
     }
 
     fn decided(&mut self, t_s: f64, recorded: &str, now: &str) {
@@ -477,7 +512,8 @@ impl Replay<'_> {
             differences: self.differences,
             notes: self.notes,
             is_led_by_person,
-            outcome: self.reporting.map(|reporting| reporting.finish(self.end.as_ref())),
+            begins_s: self.past.begins_s,
+            outcome: self.reporting.map(|reporting| reporting.finish(self.end.as_ref(), self.past)),
             end: self.end,
         })
     }

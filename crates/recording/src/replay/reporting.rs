@@ -3,7 +3,7 @@
 use anyhow::Result;
 use pb3dp_bag::run_messages::RunBegin;
 use pb3dp_cell::channels::Plan;
-use pb3dp_cell::journal::{Journal, Outcome, TruePoses};
+use pb3dp_cell::journal::{Journal, Outcome, RecordedStep, TruePoses};
 use pb3dp_cell::log::RunLog;
 use pb3dp_cell::moving::Moved;
 use pb3dp_cell::noting::{EstimateRecorder, PairEstimate};
@@ -13,6 +13,7 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_setup::setup::Setup;
 use pb3dp_sim::trajectory::Trajectory;
 
+use super::past::Past;
 use crate::exact::marking;
 
 /// Keeps steps and estimates for the report.
@@ -51,8 +52,17 @@ impl<'a> Reporting<'a> {
         self.journal.note(moved, poses);
     }
 
-    /// The record; `end` is missing if the recording was broken off.
-    pub fn finish(self, end: Option<&RunEnd>) -> Outcome {
+    /// Keeps a control step that was not replayed.
+    pub fn recorded(&mut self, step: RecordedStep, poses: Option<TruePoses>) {
+        self.journal.note_recorded(step, poses);
+    }
+
+    /// The record; `end` is missing if the recording was broken off. The changes of state are those of the recording if the control was
+    /// not replayed.
+    pub fn finish(mut self, end: Option<&RunEnd>, past: Past) -> Outcome {
+        if past.begins_s.is_some() {
+            past.changes.into_iter().for_each(|change| self.journal.note_change(change));
+        }
         let end = end.cloned().unwrap_or_default();
         self.journal.finish(self.noting.finish(end.pairs_lost), end.commands)
     }

@@ -9,6 +9,7 @@ use std::sync::Arc;
 use anyhow::{Context, Result, bail};
 use image::RgbImage;
 use pb3dp_bag::BagError;
+use pb3dp_bag::messages::LogLine;
 use pb3dp_bag::pairs::{decoded, recorded_image};
 use pb3dp_bag::reader::{Bag, Messages, RawMessage};
 use pb3dp_bag::run_messages::{ControlStep, PairResult, RunBegin, SetupFile};
@@ -26,7 +27,7 @@ use crate::head::{self, Head};
 const WAITING_MAX: usize = 64;
 
 /// Topics of a replay besides the head and the images.
-const TOPICS: [&str; 3] = [ours::STEPS, ours::PAIRS, ours::END];
+const TOPICS: [&str; 4] = [ours::STEPS, ours::PAIRS, ours::EVENTS, ours::END];
 /// A recorded run, read up to its first step.
 pub struct RecordedRun {
     /// Version of the program that has recorded it.
@@ -57,6 +58,8 @@ pub enum Item {
     Step(Box<ControlStep>),
     /// An estimate.
     Pair(Box<RecordedPair>),
+    /// A change of state.
+    Event(LogLine),
     /// The end of the run.
     End(RunEnd),
 }
@@ -129,6 +132,7 @@ impl Items {
                 (.., ours::BEGIN) if decoded::<RunBegin>(&message)? != self.begin => {
                     bail!("several runs: name one recording, or a folder with the files of one divided recording")
                 }
+                (.., ours::EVENTS) => return Ok(Some(Item::Event(decoded(&message)?))),
                 (.., ours::END) => return Ok(Some(Item::End(end(&decoded(&message)?)))),
                 (.., ours::PAIRS) => return Ok(Some(Item::Pair(Box::new(self.pair(decoded(&message)?, size)?)))),
                 _ => {}

@@ -1,9 +1,4 @@
-//! A long recording of two cameras in real time: pairs that the cameras or the recording lost, size and disk rate, and the computing time.
-//!
-//! `cargo run --release -p pb3dp-benchmarks --example long_recording -- MJPG 10 OUT.mcap` records 10 minutes of two emulated V4L2 cameras,
-//! 640x480 at 30 Hz, in the formats `MJPG`, `GREY` or `YUYV`, and reads the file back. Only the kernel is missing.
-
-#![allow(clippy::print_stdout, reason = "a program for the console")]
+//! Minutes of two emulated V4L2 cameras, 640x480 at 30 Hz, in one file. Only the kernel is missing.
 
 use std::path::Path;
 use std::sync::{Arc, OnceLock};
@@ -34,43 +29,52 @@ const PADDING: u32 = 640;
 /// Different images, which the cameras repeat.
 const IMAGES: usize = 30;
 
-fn main() -> Result<()> {
-    let words: Vec<String> = std::env::args().skip(1).collect();
-    let [format, minutes, file] = &words[..] else { bail!("usage: long_recording MJPG|GREY|YUYV MINUTES OUT.mcap") };
+/// What became of a long recording.
+#[derive(Debug)]
+pub struct Long {
+    pub format: PixelFormat,
+    pub minutes: f64,
+    pub pairs: u64,
+    /// Pairs that the cameras left out.
+    pub lost: u64,
+    /// Messages that found the queue full.
+    pub dropped: u64,
+    /// Pairs that the file has.
+    pub read_back: u64,
+    pub bytes: u64,
+}
+
+impl Long {
+    /// Whether the file has every pair of the cameras.
+    pub fn is_whole(&self) -> bool {
+        self.lost == 0 && self.dropped == 0 && self.read_back == self.pairs
+    }
+}
+
+/// Records two cameras in this format, `MJPG`, `GREY` or `YUYV`, and reads the file back.
+pub fn record(format: &str, duration: Duration, file: &Path) -> Result<Long> {
     let fourcc: [u8; 4] = format.as_bytes().try_into().context("a format has four letters")?;
     let format = PixelFormat::of_fourcc(fourcc).context("an unknown format")?;
-    let duration = Duration::from_secs_f64(minutes.parse::<f64>()? * 60.0);
     prepare(format)?;
     let (clock, mut camera) = cameras(format, fourcc)?;
-    let file = Path::new(file);
     let writer = BagWriter::create(file, WhenFull::Drop)?;
-    let about = About::new(String::new(), "long_recording", clock.now())?;
+    let about = About::new(String::new(), "long recording", clock.now())?;
     let mut recording = PairRecording::new(&about, None, Sinks::new(Some(writer), None, None));
     let mut pair = FramePair::black(SIZE);
-    let (begin, mut taken, mut lost, mut before) = (clock.now(), 0_u64, 0, None);
+    let (begin, mut pairs, mut lost, mut before) = (clock.now(), 0, 0, None);
     while clock.now().saturating_since(begin) < duration {
         camera.next_pair_into(&mut pair, Duration::from_secs(1))?;
         lost += before.replace(pair.sequence).map_or(0, |before: u64| pair.sequence - before - 1);
         recording.images(&pair);
-        taken += 1;
+        pairs += 1;
     }
-    let took_s = clock.now().saturating_since(begin).as_secs_f64();
-    let written = recording.finish().written.context("a recording")??;
-    let bytes = std::fs::metadata(file)?.len() as f64;
+    let minutes = clock.now().saturating_since(begin).as_secs_f64() / 60.0;
+    let dropped = recording.finish().written.context("a recording")??.dropped;
+    let bytes = std::fs::metadata(file)?.len();
     let read = StereoBag::open(file, PairOptions::default())?
         .pairs()
         .filter(|pair| pair.as_ref().is_ok_and(|pair| pair.images.is_ok()));
-    println!("| format | minutes | pairs | lost by the cameras | messages dropped | read back | MB | MB/s |");
-    println!("|---|---|---|---|---|---|---|---|");
-    println!(
-        "| {format} | {:.1} | {taken} | {lost} | {} | {} | {:.0} | {:.2} |",
-        took_s / 60.0,
-        written.dropped,
-        read.count(),
-        bytes * 1e-6,
-        bytes * 1e-6 / took_s
-    );
-    Ok(())
+    Ok(Long { format, minutes, pairs, lost, dropped, read_back: read.count() as u64, bytes })
 }
 
 /// The images of both cameras in the format of the camera.
