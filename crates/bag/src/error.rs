@@ -39,7 +39,7 @@ pub enum BagError {
         file: PathBuf,
     },
     /// The content is damaged, or of a kind that is not read.
-    #[error("{}: damaged after {messages} messages: {why}", file.display())]
+    #[error("{}: damaged after {messages} messages: {why}; `pb3dp recover` copies what comes before", file.display())]
     Damaged {
         /// The file.
         file: PathBuf,

@@ -37,6 +37,12 @@ pub enum EstimateWarning {
     /// The region is not planar.
     #[error("the region is not planar: mark a flat part, or track it (tracking recovers the surface)")]
     NoPlane,
+    /// The tracker follows a part of the region.
+    #[error("the region shows several surfaces: the largest one is followed, {percent:.0} % of the region")]
+    PartFollowed {
+        /// Share of the region's pixels, percent.
+        percent: f64,
+    },
     /// The deadline stopped the method before its last step.
     #[error("cut short by the deadline: this is the best estimate so far")]
     CutShort,

@@ -117,11 +117,14 @@ pub enum RegionError {
     },
     /// The region is entirely outside the image.
     #[error(
-        "the region ({covered_px} px) lies outside the left image of {image_width} x {image_height} px: check the coordinates"
+        "the region, columns {} to {} and rows {} to {}, lies outside the left image of {image_width} x {image_height} px: check the coordinates",
+        first_px[0], last_px[0], first_px[1], last_px[1]
     )]
     OffImage {
-        /// Number of pixels of the region, all outside.
-        covered_px: usize,
+        /// First column and row of the region.
+        first_px: [i64; 2],
+        /// Last column and row.
+        last_px: [i64; 2],
         /// Columns of the image.
         image_width: u32,
         /// Rows of the image.
@@ -280,12 +283,36 @@ impl Region {
         };
         let area_px = mask.area_px();
         if area_px == 0 && covered_px > 0 {
-            return Err(RegionError::OffImage { covered_px, image_width: size.width, image_height: size.height });
+            let [first_px, last_px] = self.bounds_px();
+            return Err(RegionError::OffImage {
+                first_px,
+                last_px,
+                image_width: size.width,
+                image_height: size.height,
+            });
         }
         if area_px < config.area_min_px {
             return Err(RegionError::TooSmall { area_px, area_min_px: config.area_min_px });
         }
         Ok(())
+    }
+
+    /// First and last column and row of a rectangle or polygon.
+    fn bounds_px(&self) -> [[i64; 2]; 2] {
+        match self {
+            Self::Rectangle { x, y, width, height } => {
+                let first = [i64::from(*x), i64::from(*y)];
+                [first, [first[0] + i64::from(*width) - 1, first[1] + i64::from(*height) - 1]]
+            }
+            Self::Polygon { vertices_px } => {
+                let of = |axis: usize, pick: fn(f64, f64) -> f64| {
+                    vertices_px.iter().map(|vertex| vertex[axis]).reduce(pick).unwrap_or_default().round() as i64
+                };
+                [[of(0, f64::min), of(1, f64::min)], [of(0, f64::max), of(1, f64::max)]]
+            }
+            // Their pixels are in the image.
+            Self::Mask(_) | Self::Click { .. } => [[0; 2]; 2],
+        }
     }
 
     /// Warnings about the region; `mask` is the result of [`Self::rasterize`] on the same image.

@@ -6,7 +6,7 @@ use pb3dp_estimation_core::region::RegionMask;
 use pb3dp_estimation_core::wide::LANES;
 
 use super::judge::FITS_FROM;
-use super::kernels::{CHANNELS, ResidualGroup, SurfaceGroup, ViewGroup};
+use super::kernels::{CHANNELS, ResidualGroup, SeenGroup, SurfaceGroup, ViewGroup};
 use super::relief::Relief;
 use super::shape::Shape;
 use super::surface::Surface;
@@ -44,14 +44,26 @@ pub(super) struct Part {
     pub(super) nodes: Vec<bool>,
 }
 
+/// The first stereo pair at the points of full resolution.
+#[derive(Clone, Copy)]
+pub(super) struct Pair<'a> {
+    /// The stored view: the left image.
+    pub(super) view: &'a [ViewGroup],
+    /// Both images.
+    pub(super) seen: &'a [[SeenGroup; 2]],
+    /// Their differences from the view.
+    pub(super) residuals: &'a [ResidualGroup],
+}
+
 /// Measurements at a node of the relief.
 #[derive(Clone, Copy, Debug, Default)]
 struct Node {
-    /// Number of points visible in the first left image, and number of those that fit the right image.
+    /// Number of points that both images show, and number of those that fit the right image. A point that is saturated or outside of
+    /// an image tells nothing about the surface.
     points: f64,
     fitting: f64,
-    /// Squared residuals of the right image over the node's points, and squared deviations of the left image from the patch
-    /// mean, all channels, squared grey levels.
+    /// Squared residuals of the right image over these points, and squared deviations of the left image from the patch mean, all channels,
+    /// squared grey levels.
     residual: f64,
     texture: f64,
     /// Position in the first left camera, metres.
@@ -60,10 +72,11 @@ struct Node {
 
 impl Node {
     #[allow(clippy::needless_range_loop, reason = "channels index several arrays")]
-    fn add(&mut self, group: &SurfaceGroup, view: &ViewGroup, residual: &ResidualGroup) {
-        let points = || (0..LANES).filter(|&i| group.mask.0[i] > 0.0);
-        let count = f64::from(group.mask.sum()).max(1.0);
-        self.points += f64::from(group.mask.sum());
+    fn add(&mut self, group: &SurfaceGroup, view: &ViewGroup, right: &SeenGroup, residual: &ResidualGroup) {
+        let shown = group.mask * view.valid * right.valid;
+        let points = || (0..LANES).filter(|&i| shown.0[i] > 0.0);
+        let count = (points().count() as f64).max(1.0);
+        self.points += points().count() as f64;
         self.fitting += points().filter(|&i| residual.weight[1].0[i] >= FITS_FROM).count() as f64;
         for c in 0..CHANNELS {
             let mean = points().map(|i| f64::from(view.value[c].0[i])).sum::<f64>() / count;
@@ -72,23 +85,18 @@ impl Node {
         }
     }
 
+    /// Whether nothing tells that the node is on another surface.
     fn fits(&self, noise: f64) -> bool {
-        self.points > 0.0
-            && self.fitting >= FITTING_MIN * self.points
+        self.fitting >= FITTING_MIN * self.points
             && self.residual <= NOISE_MAX * noise * self.points + UNEXPLAINED_MAX * self.texture
     }
 }
 
 /// The largest part that is one surface; `None` if the whole region is. `of_several`: the region is the remainder of several
 /// surfaces.
-pub(super) fn largest_part(
-    surface: &Surface,
-    view: &[ViewGroup],
-    residuals: &[ResidualGroup],
-    of_several: bool,
-) -> Option<Part> {
+pub(super) fn largest_part(surface: &Surface, pair: Pair<'_>, of_several: bool) -> Option<Part> {
     let (relief, shape) = (&surface.relief, &surface.shape);
-    let nodes = nodes_of(surface, view, residuals);
+    let nodes = nodes_of(surface, pair);
     let kept = largest(&nodes, shape);
     let sum = |kept_only: bool| -> f64 {
         let of = nodes.iter().zip(&kept).filter(|(_, kept)| **kept || !kept_only);
@@ -99,16 +107,17 @@ pub(super) fn largest_part(
     // The steep border of a curved surface fits badly. Without it the next border does, and the plane tilts with each cut.
     let is_curved = lies_off_plane(of_part(), &plane, relief);
     let beside_min = if of_several && !is_curved { BESIDE_SEVERAL_MIN } else { BESIDE_MIN };
-    (sum(false) - sum(true) >= beside_min * sum(false)).then_some(Part { plane, nodes: kept })
+    let beside = sum(false) - sum(true);
+    (beside > 0.0 && beside >= beside_min * sum(false)).then_some(Part { plane, nodes: kept })
 }
 
 /// Whether the surface is curved.
-pub(super) fn is_curved(surface: &Surface, view: &[ViewGroup], residuals: &[ResidualGroup]) -> bool {
-    let nodes = nodes_of(surface, view, residuals);
+pub(super) fn is_curved(surface: &Surface, pair: Pair<'_>) -> bool {
+    let nodes = nodes_of(surface, pair);
     plane_through(nodes.iter()).is_some_and(|plane| lies_off_plane(nodes.iter(), &plane, &surface.relief))
 }
 
-fn nodes_of(surface: &Surface, view: &[ViewGroup], residuals: &[ResidualGroup]) -> Vec<Node> {
+fn nodes_of(surface: &Surface, Pair { view, seen, residuals }: Pair<'_>) -> Vec<Node> {
     let Surface { relief, shape, levels, .. } = surface;
     let mut nodes = vec![Node::default(); shape.mean.len()];
     let common = shape.common_plane();
@@ -116,9 +125,9 @@ fn nodes_of(surface: &Surface, view: &[ViewGroup], residuals: &[ResidualGroup]) 
         let beyond = shape.beyond(index, &common) * relief.inverse_depth_per_px();
         node.position = ray / (surface.plane.dot(ray) + beyond).max(1e-3);
     }
-    let groups = levels[0].groups.iter().zip(view).zip(residuals).zip(relief.node_of_group());
-    for (((group, view), residual), &node) in groups {
-        nodes[node].add(group, view, residual);
+    let groups = levels[0].groups.iter().zip(view).zip(seen).zip(residuals).zip(relief.node_of_group());
+    for ((((group, view), [_, right]), residual), &node) in groups {
+        nodes[node].add(group, view, right, residual);
     }
     nodes
 }

@@ -18,7 +18,7 @@ use super::images::{CameraImages, LEVELS};
 use super::judge::{Fit, Limits, Misfit};
 use super::kernels::{CHANNELS, ROW, TERMS};
 use super::normal::{Free, NormalEquations};
-use super::one_surface::{Part, is_curved, largest_part};
+use super::one_surface::{Pair, Part, is_curved, largest_part};
 use super::predict::Motion;
 use super::reach::Sighting;
 use super::search::{Searcher, mirrored};
@@ -179,12 +179,17 @@ impl Target {
     /// The largest part of the region that is one surface; `None` if the whole region is. `of_several`: the region is the
     /// remainder of several surfaces.
     pub(super) fn largest_part(&self, of_several: bool) -> Option<Part> {
-        largest_part(&self.surface, &self.views[0].levels[0], &self.aligner.residuals, of_several)
+        largest_part(&self.surface, self.first_pair(), of_several)
+    }
+
+    fn first_pair(&self) -> Pair<'_> {
+        let Aligner { seen, residuals, .. } = &self.aligner;
+        Pair { view: &self.views[0].levels[0], seen: &seen[0], residuals }
     }
 
     /// Whether the surface of the first pair is curved.
     pub(super) fn is_curved(&self) -> bool {
-        is_curved(&self.surface, &self.views[0].levels[0], &self.aligner.residuals)
+        is_curved(&self.surface, self.first_pair())
     }
 
     /// The points of the surface, with their colours in the first view.

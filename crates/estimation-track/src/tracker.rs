@@ -131,13 +131,14 @@ impl DirectTracker {
         };
         let sure = found.pose.filter(|_| found.status.depth_is_sure());
         let Some(plane) = sure.or_else(|| self.unsure_plane(&found)) else { return Ok(refused) };
-        let estimate = self.start_from_plane(left, right, region, &plane)?;
+        let mut estimate = self.start_from_plane(left, right, region, &plane)?;
+        estimate.warnings.splice(0..0, refused.warnings.iter().cloned());
         if sure.is_none() {
             let is_solid = estimate.status == Status::Ok && self.target.as_ref().is_some_and(Target::is_a_surface);
             let solid_pose = estimate.cam_left_from_model.filter(|_| is_solid);
             let outside = solid_pose.and_then(|pose| self.surface_outside(&pose, range));
             if solid_pose.is_some() && outside.is_none() {
-                return Ok(self.with_errors_of_plane(TrackEstimate { warnings: refused.warnings, ..estimate }, &found));
+                return Ok(self.with_errors_of_plane(estimate, &found));
             }
             self.target = None;
             return Ok(TrackEstimate { reason: outside.unwrap_or(refused.reason), ..refused });
@@ -145,7 +146,7 @@ impl DirectTracker {
         let is_worse = estimate.status == Status::Ok && found.status != Status::Ok;
         let (status, reason) =
             if is_worse { (found.status, found.reason.clone()) } else { (estimate.status, estimate.reason) };
-        Ok(self.with_errors_of_plane(TrackEstimate { status, reason, warnings: refused.warnings, ..estimate }, &found))
+        Ok(self.with_errors_of_plane(TrackEstimate { status, reason, ..estimate }, &found))
     }
 
     /// The first pose on a curved surface, with the errors of the plane that defines the frame `model`: the tilt of a curved surface is
@@ -216,6 +217,7 @@ impl DirectTracker {
             let reason = "the region has too little texture to track once its border is excluded".to_owned();
             return Ok(TrackEstimate { reason, ..blank() });
         };
+        let pixels_whole = mask.area_px();
         let mut pixels = [mask, inner];
         for round in 0..PARTS_MAX {
             let Some(part) = target.largest_part(round > 0) else { break };
@@ -237,6 +239,11 @@ impl DirectTracker {
         let mut estimate = blank();
         self.target = Some(target);
         self.report(Ending::Found, &mut estimate);
+        let pixels_followed = pixels[0].area_px();
+        if pixels_followed < pixels_whole {
+            let percent = 100.0 * pixels_followed as f64 / pixels_whole as f64;
+            estimate.warnings.push(EstimateWarning::PartFollowed { percent });
+        }
         Ok(estimate)
     }
 

@@ -188,7 +188,12 @@ fn what_does_not_fit_is_refused_by_name() {
     let outside = Region::Rectangle { x: 400, y: 10, width: 50, height: 50 };
     assert_eq!(
         estimator.estimate(EstimateRequest::of_target(&left, &right, &outside, &range())),
-        Err(EstimationError::Region(RegionError::OffImage { covered_px: 2500, image_width: 320, image_height: 240 }))
+        Err(EstimationError::Region(RegionError::OffImage {
+            first_px: [400, 10],
+            last_px: [449, 59],
+            image_width: 320,
+            image_height: 240
+        }))
     );
     let region = Region::Rectangle { x: 100, y: 100, width: 50, height: 50 };
     let small = image::RgbImage::new(160, 120);

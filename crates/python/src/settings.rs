@@ -39,7 +39,7 @@ impl Settings {
             (range.z_min_m, range.z_max_m) = (z_min_m, z_max_m);
         }
         range.tilt_max_rad = asked.tilt_max_rad.unwrap_or(range.tilt_max_rad);
-        range.validate()?;
+        range.validate().context("z_range_m is in metres and tilt_max_rad in radians")?;
         let of_values = |(low, high)| {
             ValueRange::new(low, high).with_context(|| {
                 format!("value_range is ({low}, {high}): the first value must be less than the second")

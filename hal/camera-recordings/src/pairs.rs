@@ -228,11 +228,16 @@ impl RecordedPairs {
         for image in &images {
             let (size, Some((wanted, because_of))) = (image.dimensions(), expected) else { continue };
             if size != (wanted.width, wanted.height) {
+                // The images of a topic have one size; files may be mixed.
+                let (kind, what) = match number == 0 && self.bag.is_some() {
+                    true => (CameraErrorKind::Unusable, "the recording is not used".to_owned()),
+                    false => (CameraErrorKind::BadPair, format!("pair {number} is skipped")),
+                };
                 let message = format!(
-                    "{}: pair {number} is skipped: an image has {}x{} pixels, but {because_of} has {}x{}; use the calibration of this size",
+                    "{}: {what}: an image has {}x{} pixels, but {because_of} has {}x{}; use the calibration of this size",
                     self.name, size.0, size.1, wanted.width, wanted.height
                 );
-                return Err(CameraError::new(CameraErrorKind::BadPair, message));
+                return Err(CameraError::new(kind, message));
             }
         }
         Ok(images)

@@ -58,7 +58,7 @@ fn a_rectangle_covers_its_pixels_and_tells_what_is_off_the_image() {
 fn regions_that_can_not_serve_are_refused_with_their_numbers() {
     refused(
         &Region::Rectangle { x: 200, y: 3, width: 40, height: 40 },
-        &RegionError::OffImage { covered_px: 1600, image_width: 160, image_height: 90 },
+        &RegionError::OffImage { first_px: [200, 3], last_px: [239, 42], image_width: 160, image_height: 90 },
     );
     refused(
         &Region::Rectangle { x: 2_000_000_000, y: 0, width: 4_000_000_000, height: 4_000_000_000 },

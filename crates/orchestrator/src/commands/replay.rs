@@ -9,6 +9,7 @@ use clap::Args;
 use pb3dp_bag::sinks::Sinks;
 use pb3dp_bag::writer::{BagWriter, WhenFull};
 use pb3dp_cell::terminal::print_line;
+use pb3dp_estimation::estimator::Method;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_recording::compare::Comparison;
 use pb3dp_recording::pairs::{About, is_file};
@@ -76,6 +77,9 @@ fn compare([a, b]: [&Path; 2], out: Option<&Path>) -> Result<ExitCode> {
 }
 
 fn replay(file: &Path, args: &ReplayArgs) -> Result<ExitCode> {
+    if let Some(method) = &args.method {
+        Method::from_name(method).context("--method")?;
+    }
     // A method is not compared with itself.
     let method = args.method.iter();
     let method = method.flat_map(|method| [format!("estimator.method={method}"), "estimator.compare=[]".to_owned()]);

@@ -348,3 +348,27 @@ fn vertices(file: &Path) -> Vec<Vertex> {
     };
     bytes[at..].chunks(27).map(vertex).collect()
 }
+
+/// White paper that is saturated in one image tells nothing about its surface. It counted as another surface, and of two boards a small part
+/// was followed.
+#[test]
+fn a_bright_board_is_followed_as_a_whole() {
+    for name in ["bb201_c0", "bb204_c0", "bb207_c0", "bb209_c0"] {
+        let case = repository().join("tests/data/cases").join(name);
+        let tracked = pb3dp(&words(&[&"track", &"--sequence", &case, &"--json"])).assert_success();
+        let estimated = pb3dp(&words(&[&"estimate", &"--sequence", &case, &"--json"])).assert_success();
+        let [tracked, estimated] = [&tracked, &estimated].map(|finished| {
+            let line: serde_json::Value = serde_json::from_str(finished.stdout.lines().next().unwrap()).unwrap();
+            assert!(line["status"] == "ok" && line["warnings"].as_array().unwrap().is_empty(), "{name}: {line}");
+            line
+        });
+        let pose = |line: &serde_json::Value| -> Vec<f64> {
+            line["cam_left_from_model"].as_array().unwrap().iter().map(|number| number.as_f64().unwrap()).collect()
+        };
+        // Translations are in millimetres, rotations have no unit.
+        for (index, (tracked, estimated)) in pose(&tracked).into_iter().zip(pose(&estimated)).enumerate() {
+            let tolerance = if index % 4 == 3 { 0.3 } else { 0.005 };
+            assert!((tracked - estimated).abs() < tolerance, "{name}, {index}: {tracked}, not {estimated}");
+        }
+    }
+}

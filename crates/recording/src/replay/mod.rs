@@ -18,6 +18,7 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use pb3dp_bag::BagError;
 use pb3dp_bag::messages::LogLine;
 use pb3dp_bag::run_messages::{ControlStep, PairResult};
 use pb3dp_bag::sinks::Sinks;
@@ -134,7 +135,11 @@ impl Opened {
     /// A damaged recording, or a failure of the estimation that the run did not have.
     pub fn replay(&mut self, record_to: Option<(&About, Sinks)>, reports: bool) -> Result<Replayed> {
         let file = self.file.clone();
-        self.replay_file(record_to, reports).with_context(|| file.display().to_string())
+        self.replay_file(record_to, reports).map_err(|error| match error.is::<BagError>() {
+            // It names its file.
+            true => error,
+            false => error.context(file.display().to_string()),
+        })
     }
 
     fn replay_file(&mut self, record_to: Option<(&About, Sinks)>, reports: bool) -> Result<Replayed> {

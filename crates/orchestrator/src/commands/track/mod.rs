@@ -130,8 +130,7 @@ fn report(recording: &Recording, walk: &Walk) {
         };
     }
     if !walk.rotation_about_normal_observed() {
-        text +=
-            "The rotation about the model's normal is not observed by this method: it is held at its first value.\n";
+        text += "Where the rotation about the model's normal is not observed, it keeps its last value.\n";
     }
     // A closed standard error is ignored.
     let _ = std::io::Write::write_all(&mut std::io::stderr().lock(), text.as_bytes());
