@@ -13,7 +13,7 @@ use crate::modes::Mode;
 use crate::names::CaptureDevice;
 use crate::opening::{OpenedDevices, open_devices};
 use crate::pairing::{Drift, DriftEstimator, Verdict, judge};
-use crate::stream::{Drained, Stream, StreamCounters, Streams};
+use crate::stream::{Drained, Side, Stream, StreamCounters, Streams};
 use crate::timing::ClockMap;
 use crate::video::VideoSystem;
 use pb3dp_camera_pixels::PixelError;
@@ -42,15 +42,6 @@ pub struct StereoCounters {
     pub skew_max_nanos: u64,
     /// Drift between the two cameras; `None` before it is known.
     pub drift: Option<Drift>,
-}
-
-/// Left or right.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Side {
-    /// The left camera.
-    Left,
-    /// The right camera.
-    Right,
 }
 
 /// Identity of a camera and its lens setting.

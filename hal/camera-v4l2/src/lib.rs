@@ -24,6 +24,6 @@ mod stream;
 pub mod timing;
 pub mod video;
 
-pub use camera::{CameraIdentity, Side, StereoCounters, V4l2StereoCamera};
+pub use camera::{CameraIdentity, StereoCounters, V4l2StereoCamera};
 pub use reopening::ReopeningCamera;
-pub use stream::StreamCounters;
+pub use stream::{Side, StreamCounters};

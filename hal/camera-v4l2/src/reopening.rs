@@ -7,10 +7,11 @@ use pb3dp_camera_settings::StereoConfig;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
 
-use crate::camera::{CameraIdentity, Side, StereoCounters, V4l2StereoCamera};
+use crate::camera::{CameraIdentity, StereoCounters, V4l2StereoCamera};
 use crate::controls::Control;
 use crate::error::unusable;
 use crate::names::CaptureDevice;
+use crate::stream::Side;
 use crate::video::VideoSystem;
 
 /// Time between two attempts to open lost cameras. An attempt queries every video device of the computer.

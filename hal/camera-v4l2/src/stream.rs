@@ -6,7 +6,6 @@ use image::RgbImage;
 use pb3dp_camera_settings::{StampModel, ValueRange, nanos};
 use pb3dp_hal_api::{CameraError, CameraErrorKind, DeliveredImage};
 
-use crate::camera::Side;
 use crate::error::{failed, unusable};
 use crate::modes::Mode;
 use crate::video::{Filled, Handle, VideoNode};
@@ -18,6 +17,15 @@ const BUFFERS_AT_ONCE_MAX: u32 = 64;
 /// Tolerance for timestamps in the future: two clocks are read one after the other, and some drivers (`vivid`) stamp the nominal
 /// time of an image, up to a kernel tick (4 ms at 250 Hz) before or after.
 const FUTURE_NANOS_MAX: i64 = 4_000_000;
+
+/// Left or right.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Side {
+    /// The left camera.
+    Left,
+    /// The right camera.
+    Right,
+}
 
 /// Image counters of one camera since it was opened, by result.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

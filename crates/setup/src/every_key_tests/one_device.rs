@@ -35,7 +35,9 @@ fn cameras(changes: &str) -> Result<RealCameras, String> {
 
 #[test]
 fn two_devices_are_the_default() {
-    let stereo = cameras("").unwrap().stereo;
+    let found = cameras("").unwrap();
+    assert_eq!(found.names(), "bus:usb-0000:00:14.0-1 and bus:usb-0000:00:14.0-2");
+    let stereo = found.stereo;
     assert_eq!((stereo.layout, stereo.range, stereo.left.crop), (DeviceLayout::TwoDevices, None, None));
     assert_ne!(stereo.left.name, stereo.right.name);
     assert_eq!(stereo.value_range(), None);
@@ -55,6 +57,7 @@ fn one_device_has_the_settings_of_the_left_side_for_both_views() {
     let text = cameras(one).unwrap_err();
     assert!(text.contains("the right image would have 672x480 pixels, the left one 640x480"), "{text}");
     let whole = cameras("layout = \"top-bottom\"\nformat = \"Y12\"\nvalue_range = [64, 4000]").unwrap();
+    assert_eq!(whole.names(), "bus:usb-0000:00:14.0-1 (top-bottom)");
     let stereo = &whole.stereo;
     assert_eq!(stereo.layout, DeviceLayout::OneImage(ImageLayout::TopBottom));
     assert_eq!((&stereo.left, whole.size()), (&stereo.right, ImageSize { width: 640, height: 480 }));

@@ -59,6 +59,16 @@ impl RealCameras {
         self.stereo.size()
     }
 
+    /// Names of the devices, for reports.
+    pub fn names(&self) -> String {
+        let StereoConfig { layout, left, right, .. } = &self.stereo;
+        if layout.is_one_device() {
+            format!("{} ({layout})", left.name)
+        } else {
+            format!("{} and {}", left.name, right.name)
+        }
+    }
+
     /// Requested time between images.
     pub fn period(&self) -> Duration {
         Duration::from_secs_f64(self.stereo.left.mode.interval.seconds().unwrap_or(1.0))

@@ -89,8 +89,9 @@ fn named(
     const CHECK: &str = "cameras";
     let (mut findings, mut chosen) = (Vec::new(), Vec::new());
     for &(side, name) in names {
+        let camera_of = if names.len() == 1 { "the camera".to_owned() } else { format!("the {side} camera") };
         if is_of_driver(name) {
-            let found = format!("the {side} camera, {name}, cannot be checked here; only its driver knows it");
+            let found = format!("{camera_of}, {name}, cannot be checked here; only its driver knows it");
             findings.push(Finding::warning(CHECK, found, "check that `pb3dp cameras list` shows it"));
             continue;
         }
@@ -111,7 +112,7 @@ fn named(
                     .collect();
                 let there = if there.is_empty() { "none".to_owned() } else { there.join(", ") };
                 let advice = format!("check cable and hub, or correct camera.{side}.device; connected: {there}");
-                findings.push(Finding::fail(CHECK, format!("the {side} camera, {name}, is not connected"), advice));
+                findings.push(Finding::fail(CHECK, format!("{camera_of}, {name}, is not connected"), advice));
             }
         }
     }
