@@ -82,28 +82,30 @@ mod tests {
         OfferedFormat { fourcc: *fourcc, sizes: sizes.iter().map(size).collect() }
     }
 
-    /// Layout, format and the first view of what is proposed.
-    fn proposed(card: &str, formats: &[OfferedFormat]) -> Option<(&'static str, Option<(String, String, u32, u32)>)> {
-        recognise(card, formats).map(|model| {
-            let of = |p: Proposal| (p.layout.to_string(), p.format.to_string(), p.views[0].width, p.views[0].height);
-            (model.name, model.proposal.map(of))
-        })
+    /// Name of the model, and layout, format and first view of what is proposed.
+    fn proposed(card: &str, formats: &[OfferedFormat]) -> Option<String> {
+        let model = recognise(card, formats)?;
+        let of = |p: Proposal| format!(": {} {} {}x{}", p.layout, p.format, p.views[0].width, p.views[0].height);
+        Some(format!("{}{}", model.name, model.proposal.map_or_else(String::new, of)))
     }
 
     #[test]
     fn models_are_known_by_their_names_and_formats() {
         let zed = [offered(b"YUYV", &[(4416, 1242), (2560, 720), (1344, 376)])];
-        let side = |width, height| Some(("side-by-side".to_owned(), "YUYV".to_owned(), width, height));
-        assert_eq!(proposed("ZED 2i: ZED 2i", &zed), Some(("Stereolabs ZED", side(2208, 1242))));
-        // The name of a driver has at most 31 letters.
-        let card = "Intel(R) RealSense(TM) Depth Ca";
         let infrared = [offered(b"GREY", &[(640, 480)]), offered(b"Y8I ", &[(848, 480), (640, 480)])];
-        let interleaved = Some(("interleaved".to_owned(), "Y8I".to_owned(), 848, 480));
-        assert_eq!(proposed(card, &infrared), Some(("Intel RealSense", interleaved.clone())));
-        assert_eq!(proposed(card, &[offered(b"YUYV", &[(640, 480)])]), Some(("Intel RealSense", None)));
-        assert_eq!(proposed("Other", &infrared), Some(("device with Y8I", interleaved)));
-        assert_eq!(proposed("HD Webcam", &[offered(b"YUYV", &[(1280, 720)])]), None);
-        // A ZED that offers nothing as wide as two views.
-        assert_eq!(proposed("ZED", &[offered(b"YUYV", &[(640, 480)])]), Some(("Stereolabs ZED", None)));
+        let colour = [offered(b"YUYV", &[(640, 480)])];
+        // The name of a driver has at most 31 letters.
+        let realsense = "Intel(R) RealSense(TM) Depth Ca";
+        for (card, formats, expected) in [
+            ("ZED 2i: ZED 2i", &zed[..], Some("Stereolabs ZED: side-by-side YUYV 2208x1242")),
+            (realsense, &infrared, Some("Intel RealSense: interleaved Y8I 848x480")),
+            (realsense, &colour, Some("Intel RealSense")),
+            ("Other", &infrared, Some("device with Y8I: interleaved Y8I 848x480")),
+            ("HD Webcam", &[offered(b"YUYV", &[(1280, 720)])], None),
+            // A ZED that offers nothing as wide as two views.
+            ("ZED", &colour, Some("Stereolabs ZED")),
+        ] {
+            assert_eq!(proposed(card, formats).as_deref(), expected, "{card}");
+        }
     }
 }

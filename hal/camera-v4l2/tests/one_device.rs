@@ -208,7 +208,8 @@ fn reopening(rig: &Rig, config: &StereoConfig) -> ReopeningCamera {
 #[test]
 fn loss_and_silence_are_told_within_two_periods() {
     let config = config_of_one(TOP_BOTTOM, PixelFormat::Grey);
-    let faults: [(fn(&mut Faults), CameraErrorKind); 4] = [
+    type Fault = (fn(&mut Faults), CameraErrorKind);
+    let faults: [Fault; 4] = [
         (|faults| faults.is_unplugged = true, CameraErrorKind::Disconnected),
         (|faults| faults.has_stopped = true, CameraErrorKind::Disconnected),
         (|faults| faults.ends = true, CameraErrorKind::Disconnected),
