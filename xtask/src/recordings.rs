@@ -1,4 +1,4 @@
-//! `cargo xtask recordings`: recordings that other programs read, and recordings of others.
+//! `cargo xtask recordings`: recordings that other programs read, recordings of others, and pixels of cameras as others decode them.
 
 use std::path::{Path, PathBuf};
 
@@ -8,7 +8,8 @@ use crate::workspace::{Workspace, run_visibly};
 
 const TESTS: &str = "tests/recordings";
 
-/// Lets other libraries read a recorded run, and tracks recordings that other libraries wrote (tests/recordings).
+/// Lets other libraries read a recorded run, tracks recordings that other libraries wrote, and compares the pixels of emulated cameras with
+/// those that OpenCV decodes (tests/recordings).
 ///
 /// Needs python3 with its module venv; the packages of tests/recordings/requirements.txt go into a folder of their own.
 #[derive(Default, clap::Args)]
@@ -60,14 +61,28 @@ fn with_program(workspace: &Workspace, programs: &Path, args: &Args) -> anyhow::
             ))
         })?;
     }
+    let pixels = emulated_pair(workspace, args.release)?;
     let mut tests = workspace.command(&python);
     tests.args(["-m", "pytest", "--quiet", "-o", &cache, TESTS]);
     if let Some(filter) = &args.filter {
         tests.args(["-k", filter]);
     }
-    tests.env("PB3DP", programs.join("pb3dp")).env("PYTHONDONTWRITEBYTECODE", "1");
+    tests.env("PB3DP", programs.join("pb3dp")).env("PB3DP_EMULATED_PAIR", pixels).env("PYTHONDONTWRITEBYTECODE", "1");
     if args.rerun {
         tests.env("PB3DP_RERUN", "1");
     }
     run_visibly(&mut tests)
+}
+
+/// The program that gives a pair of emulated cameras.
+fn emulated_pair(workspace: &Workspace, is_release: bool) -> anyhow::Result<PathBuf> {
+    const EXAMPLE: &str = "emulated_pair";
+    let mut build = workspace.cargo();
+    build.args(["build", "--locked", "--package", "pb3dp-camera-v4l2", "--example", EXAMPLE]);
+    if is_release {
+        build.arg("--release");
+    }
+    run_visibly(&mut build)?;
+    let profile = if is_release { "release" } else { "debug" };
+    Ok(workspace.target_folder()?.join(profile).join("examples").join(EXAMPLE))
 }

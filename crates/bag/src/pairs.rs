@@ -9,7 +9,7 @@ use pb3dp_camera_settings::PixelFormat;
 use pb3dp_geometry::{ImageSize, MonotonicTime};
 use pb3dp_record::calibration_files::{StereoCalibration, parse_ros_pair, parse_stereo};
 use pb3dp_record::images::StoredImage;
-use pb3dp_record::value_range::ValueRange;
+use pb3dp_record::value_range::{ValueRange, range_of_pair};
 
 use crate::BagError;
 use crate::cdr::{CdrValue, from_bytes};
@@ -273,7 +273,7 @@ impl BagPairs {
     fn images(&mut self, found: &[Stamped; 2]) -> Result<[RgbImage; 2], BagError> {
         let [left, right] = [pixels_of(&found[0])?, pixels_of(&found[1])?];
         let deep: Vec<_> = [&left, &right].into_iter().filter_map(Pixels::deep).collect();
-        let (range, note) = ValueRange::of_pair(&mut self.range, &deep);
+        let (range, note) = range_of_pair(&mut self.range, &deep);
         self.notes.extend(note);
         let refuse = |stamped: &Stamped| {
             let (topic, stamp_s) = (stamped.message.channel.topic.clone(), stamped.at.as_secs_f64());
@@ -312,18 +312,22 @@ fn times([left, right]: &[Stamped; 2]) -> (MonotonicTime, i64) {
 }
 
 /// The image of a message that this program has recorded, and the middle of its exposure; a JPEG is decoded as from the camera.
+/// `range`: the values that became black and white in images with more than 8 bits; all 16-bit values by default.
 ///
 /// # Errors
 /// What is wrong with it.
-pub fn recorded_image(message: &RawMessage, size: ImageSize) -> Result<(MonotonicTime, RgbImage), BagError> {
+pub fn recorded_image(
+    message: &RawMessage,
+    size: ImageSize,
+    range: Option<ValueRange>,
+) -> Result<(MonotonicTime, RgbImage), BagError> {
     let at = stamp(message)?;
     let (topic, stamp_s) = (message.channel.topic.clone(), at.as_secs_f64());
     let read = if is_compressed(message) {
         let CompressedImage { data, .. } = decoded(message)?;
         converted(PixelFormat::Mjpg, size, 0, &data.0)
     } else {
-        // With 8 bits there is no range.
-        pixels(&decoded::<Image>(message)?).and_then(|pixels| pixels.into_rgb(ValueRange::of_pair(&mut None, &[]).0))
+        pixels(&decoded::<Image>(message)?).and_then(|pixels| pixels.into_rgb(range.unwrap_or(ValueRange::FULL)))
     };
     read.map(|image| (at, image)).map_err(|why| BagError::Pixels { topic, stamp_s, why })
 }

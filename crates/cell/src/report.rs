@@ -143,7 +143,7 @@ fn provenance(made: &Made, setup: &Setup, simulated_s: f64) -> Vec<(String, Stri
     let calibrations: Vec<String> = setup.rig.calibrations.iter().map(CalibrationInUse::text).collect();
     let compared: Vec<&str> = setup.compared.iter().map(|method| method.name()).collect();
     let images = match setup.rig.real_cameras.as_ref() {
-        Some(cameras) => format!("{} and {}", cameras.stereo.left.name, cameras.stereo.right.name),
+        Some(cameras) => cameras.names(),
         None if setup.leader.needs_images() => "rendered".to_owned(),
         None => "none".to_owned(),
     };

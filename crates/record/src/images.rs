@@ -13,7 +13,7 @@ use image::{DynamicImage, ImageEncoder, ImageFormat, ImageReader, RgbImage};
 use pb3dp_geometry::ImageSize;
 
 use crate::text_file::check_regular;
-use crate::value_range::{DeepImage, ValueRange};
+use crate::value_range::{DeepImage, ValueRange, range_of_pair};
 
 /// Largest number of pixels of an image that is read. Chosen: 300 MB in memory; sensors of machine vision have up to 65 million pixels.
 pub const PIXELS_MAX: u64 = 100_000_000;
@@ -212,7 +212,7 @@ impl StoredImage {
     /// ones, with a line for the user.
     pub fn to_rgb_pair(pair: [Self; 2], range: &mut Option<ValueRange>) -> ([RgbImage; 2], Option<String>) {
         let deep: Vec<&DeepImage> = pair.iter().filter_map(Self::deep).collect();
-        let (range, note) = ValueRange::of_pair(range, &deep);
+        let (range, note) = range_of_pair(range, &deep);
         let shallow = |image: Self| match image {
             Self::Rgb(image) => image,
             Self::Deep(image) => image.to_rgb(range),

@@ -4,80 +4,46 @@
 //! black. The user states the range, or it is measured on the first images: both images of a pair, and all pairs of a recording, need
 //! the same range, because the methods compare their values.
 
-use std::fmt;
-use std::str::FromStr;
-
 use image::RgbImage;
 use pb3dp_geometry::ImageSize;
+
+pub use pb3dp_camera_settings::{ValueRange, WrongRange};
 
 /// Share of the values below the measured range, and share above it: some hot and dead pixels.
 const OUTSIDE: f64 = 0.001;
 
-/// The values that become 0 and 255.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ValueRange {
-    low: u16,
-    high: u16,
+/// The range of these images together, without the darkest and the brightest thousandth of their values.
+fn measured(images: &[&DeepImage]) -> ValueRange {
+    let mut counts = vec![0_u64; 1 << 16];
+    for value in images.iter().flat_map(|image| &image.values) {
+        counts[usize::from(*value)] += 1;
+    }
+    let all: u64 = counts.iter().sum();
+    let outside = (OUTSIDE * all as f64) as u64;
+    let low = first_beyond(0..=u16::MAX, &counts, outside).unwrap_or(0);
+    let high = first_beyond((0..=u16::MAX).rev(), &counts, outside).unwrap_or(u16::MAX);
+    // An image of one value has no range: it becomes black.
+    ValueRange::new(low.min(u16::MAX - 1), high.max(low.saturating_add(1))).unwrap_or(ValueRange::FULL)
 }
 
-/// A text that is no range.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "{text:?} is no range of values: write LOW,HIGH with 0 <= LOW < HIGH <= 65535, such as 0,4095 for a camera with 12 bits"
-)]
-pub struct WrongRange {
-    text: String,
+/// The range for a pair with these deep images: the stated one; otherwise the one measured on the first pair with any, which is kept,
+/// with a line for the user.
+pub fn range_of_pair(range: &mut Option<ValueRange>, deep: &[&DeepImage]) -> (ValueRange, Option<String>) {
+    match (*range, deep) {
+        (Some(range), _) => (range, None),
+        (None, []) => (ValueRange::FULL, None),
+        (None, deep) => {
+            let measured = *range.insert(measured(deep));
+            (measured, Some(note(measured)))
+        }
+    }
 }
 
-impl ValueRange {
-    /// All values.
-    const FULL: Self = Self { low: 0, high: u16::MAX };
-
-    /// The range from one value to a higher one; `None` otherwise.
-    pub fn new(low: u16, high: u16) -> Option<Self> {
-        (low < high).then_some(Self { low, high })
-    }
-
-    /// The range of these images together, without the darkest and the brightest thousandth of their values.
-    fn measured(images: &[&DeepImage]) -> Self {
-        let mut counts = vec![0_u64; 1 << 16];
-        for value in images.iter().flat_map(|image| &image.values) {
-            counts[usize::from(*value)] += 1;
-        }
-        let all: u64 = counts.iter().sum();
-        let outside = (OUTSIDE * all as f64) as u64;
-        let low = first_beyond(0..=u16::MAX, &counts, outside).unwrap_or(0);
-        let high = first_beyond((0..=u16::MAX).rev(), &counts, outside).unwrap_or(u16::MAX);
-        // An image of one value has no range: it becomes black.
-        Self { low: low.min(u16::MAX - 1), high: high.max(low.saturating_add(1)) }
-    }
-
-    /// The range for a pair with these deep images: the stated one; otherwise the one measured on the first pair with any, which is kept,
-    /// with a line for the user.
-    pub fn of_pair(range: &mut Option<Self>, deep: &[&DeepImage]) -> (Self, Option<String>) {
-        match (*range, deep) {
-            (Some(range), _) => (range, None),
-            (None, []) => (Self::FULL, None),
-            (None, deep) => {
-                let measured = *range.insert(Self::measured(deep));
-                (measured, Some(measured.note()))
-            }
-        }
-    }
-
-    /// What the user should know of a measured range.
-    fn note(self) -> String {
-        format!(
-            "the images have more than 8 bits: {self} become black and white, which holds 99.8 % of the values of the first pair; state other values with --range LOW,HIGH"
-        )
-    }
-
-    /// The 8-bit value of each 16-bit value.
-    pub fn table(self) -> Vec<u8> {
-        let scale = 255.0 / f64::from(self.high - self.low);
-        let shade = |value: u16| (f64::from(value.saturating_sub(self.low)) * scale).round().min(255.0) as u8;
-        (0..=u16::MAX).map(shade).collect()
-    }
+/// What the user should know of a measured range.
+fn note(range: ValueRange) -> String {
+    format!(
+        "the images have more than 8 bits: {range} become black and white, which holds 99.8 % of the values of the first pair; state other values with --range LOW,HIGH"
+    )
 }
 
 /// The first of these values at which more than `outside` counts have passed.
@@ -87,22 +53,6 @@ fn first_beyond(mut values: impl Iterator<Item = u16>, counts: &[u64], outside: 
         passed += counts[usize::from(*value)];
         passed > outside
     })
-}
-
-impl fmt::Display for ValueRange {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{},{}", self.low, self.high)
-    }
-}
-
-impl FromStr for ValueRange {
-    type Err = WrongRange;
-
-    fn from_str(text: &str) -> Result<Self, WrongRange> {
-        let ends =
-            text.split_once(',').and_then(|(low, high)| Some((low.trim().parse().ok()?, high.trim().parse().ok()?)));
-        ends.and_then(|(low, high)| Self::new(low, high)).ok_or_else(|| WrongRange { text: text.to_owned() })
-    }
 }
 
 /// An image with 16 bits per channel.
@@ -195,11 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_ranges_are_refused() {
-        for text in ["", "5", "5,5", "9,3", "-1,5", "0,70000", "a,b"] {
-            let message = text.parse::<ValueRange>().unwrap_err().to_string();
-            assert!(message.contains(&format!("{text:?}")) && message.contains("0,4095"), "{message}");
-        }
+    fn images_with_other_numbers_of_values_are_refused() {
         assert!(DeepImage::new(ImageSize { width: 2, height: 2 }, 3, vec![0; 4]).is_none());
         assert!(DeepImage::new(ImageSize { width: 2, height: 2 }, 2, vec![0; 8]).is_none());
     }
@@ -209,9 +155,9 @@ mod tests {
         let mut left: Vec<u16> = (0..3000).map(|k| 1000 + k % 500).collect();
         left[17] = 65535;
         let right: Vec<u16> = (0..3000).map(|k| 1200 + k % 500).collect();
-        let range = ValueRange::measured(&[&grey(&left), &grey(&right)]);
-        assert!((1000..=1001).contains(&range.low) && (1698..=1699).contains(&range.high), "{range}");
-        assert_eq!(grey(&[9; 4]).bytes(ValueRange::measured(&[&grey(&[9; 4])])), [0; 4]);
-        assert_eq!(ValueRange::measured(&[&grey(&[65535; 4])]), ValueRange::new(65534, 65535).unwrap());
+        let range = measured(&[&grey(&left), &grey(&right)]);
+        assert!((1000..=1001).contains(&range.low()) && (1698..=1699).contains(&range.high()), "{range}");
+        assert_eq!(grey(&[9; 4]).bytes(measured(&[&grey(&[9; 4])])), [0; 4]);
+        assert_eq!(measured(&[&grey(&[65535; 4])]), ValueRange::new(65534, 65535).unwrap());
     }
 }

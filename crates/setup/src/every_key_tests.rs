@@ -1,6 +1,7 @@
 //! Every number of the repository's configurations is checked by its own key: far out of range, it is refused with file, key
 //! and what is allowed; at either end of what is allowed, no part refuses it afterwards.
 
+mod one_device;
 mod real_arms;
 
 use std::path::Path;

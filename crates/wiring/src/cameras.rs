@@ -59,7 +59,12 @@ pub(super) fn wire_real(
     let identities = [identity_of(Side::Left)?, identity_of(Side::Right)?];
     look_at_cameras(&setup.rig.calibrations, &identities)?;
     let check = check_pair(&setup.rig.stereo, &first.left, &first.right);
-    if let Some(doubt) = check.accepted().context("table [camera]: exchange left.device and right.device")? {
+    let advice = if real.stereo.layout.is_one_device() {
+        "table [camera]: the device delivers its right view in the place of the left one; check camera.layout and the calibration"
+    } else {
+        "table [camera]: exchange left.device and right.device"
+    };
+    if let Some(doubt) = check.accepted().context(advice)? {
         tracing::warn!("cameras: {doubt}");
     }
     Ok(WiredCameras { camera: Box::new(camera), identities, controls })

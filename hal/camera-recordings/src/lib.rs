@@ -13,5 +13,5 @@ mod pairs;
 mod source;
 
 pub use kind::{Kind, folder_of};
-pub use options::{Layout, RecordingOptions, Topics};
+pub use options::{RecordingOptions, Topics};
 pub use pairs::{PERIOD, RecordedPairs};

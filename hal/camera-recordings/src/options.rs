@@ -3,9 +3,10 @@
 use std::str::FromStr;
 use std::time::Duration;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use pb3dp_bag::pairs::PAIR_WITHIN;
-use pb3dp_geometry::ImageSize;
+use pb3dp_camera_settings::ImageLayout;
 use pb3dp_record::value_range::ValueRange;
 
 /// What a recording does not state itself.
@@ -22,8 +23,8 @@ pub struct RecordingOptions {
     #[arg(long, value_name = "LOW,HIGH")]
     pub range: Option<ValueRange>,
     /// Arrangement of both views in each image of a folder.
-    #[arg(long, value_enum)]
-    pub layout: Option<Layout>,
+    #[arg(long, value_parser = PossibleValuesParser::new(ImageLayout::ALL.map(ImageLayout::name)).try_map(|name| name.parse::<ImageLayout>()))]
+    pub layout: Option<ImageLayout>,
 }
 
 impl Default for RecordingOptions {
@@ -47,25 +48,6 @@ impl FromStr for Topics {
             _ => Err(format!(
                 "{text:?} is not LEFT,RIGHT: two different topics, such as /left/image_raw,/right/image_raw"
             )),
-        }
-    }
-}
-
-/// Arrangement of both views in one image.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Layout {
-    /// Left half and right half.
-    SideBySide,
-    /// The left view above the right one.
-    TopBottom,
-}
-
-impl Layout {
-    /// The size of one view; rounded down.
-    pub(crate) fn half(self, ImageSize { width, height }: ImageSize) -> ImageSize {
-        match self {
-            Self::SideBySide => ImageSize { width: width / 2, height },
-            Self::TopBottom => ImageSize { width, height: height / 2 },
         }
     }
 }

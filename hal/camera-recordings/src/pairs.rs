@@ -6,6 +6,7 @@ use std::time::Duration;
 use image::RgbImage;
 use pb3dp_bag::BagError;
 use pb3dp_bag::pairs::StereoBag;
+use pb3dp_camera_settings::ImageLayout;
 use pb3dp_geometry::{ImageSize, MonotonicTime};
 use pb3dp_hal_api::{CameraError, CameraErrorKind};
 use pb3dp_record::dataset::Sequence;
@@ -16,7 +17,7 @@ use crate::bag::BagImages;
 use crate::euroc;
 use crate::folder::{image_pairs, images_with_both};
 use crate::kind::{Kind, folder_of, no_recording, unusable_bag};
-use crate::options::{Layout, RecordingOptions};
+use crate::options::RecordingOptions;
 use crate::source::{Place, Source, TimedPairs};
 
 /// Time between the pairs of recordings that state none.
@@ -281,19 +282,14 @@ fn loaded(file: &Path, expected: Option<(ImageSize, &str)>) -> Result<StoredImag
 fn halves(
     file: &Path,
     both: StoredImage,
-    layout: Layout,
+    layout: ImageLayout,
     expected: Option<(ImageSize, &str)>,
 ) -> Result<[StoredImage; 2], ImageFileError> {
-    let ImageSize { width, height } = both.size();
     let half = expected.map_or_else(|| layout.half(both.size()), |(size, _)| size);
-    let (whole, second) = match layout {
-        Layout::SideBySide => (ImageSize { width: 2 * half.width, ..half }, [half.width, 0]),
-        Layout::TopBottom => (ImageSize { height: 2 * half.height, ..half }, [0, half.height]),
-    };
     let because_of = match expected {
         Some((_, because_of)) => format!("a pair of {because_of}"),
         None => "two views of the same size".to_owned(),
     };
-    check_size(file, ImageSize { width, height }, (whole, &because_of))?;
-    Ok([[0, 0], second].map(|[x, y]| both.part((x, y), half)))
+    check_size(file, both.size(), (layout.whole(half), &because_of))?;
+    Ok(layout.origins(half).map(|origin| both.part(origin, half)))
 }

@@ -3,10 +3,9 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use pb3dp_camera_settings::ImageLayout;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_record::dataset::Sequence;
-
-use crate::options::Layout;
 
 /// Where the images of a pair are.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -14,7 +13,7 @@ pub(crate) enum Place {
     /// A left and a right file.
     Files(PathBuf, PathBuf),
     /// One file with both.
-    Both(PathBuf, Layout),
+    Both(PathBuf, ImageLayout),
     /// The next pair of an MCAP recording.
     Bag,
 }

@@ -2,17 +2,21 @@
 //!
 //! A setup defines the settings and a camera driver receives them, so that neither depends on the other.
 
+mod layout;
 mod names;
 mod pixels;
 mod timing;
+mod value_range;
 
 use std::time::Duration;
 
 use pb3dp_geometry::ImageSize;
 
+pub use layout::{Crop, DeviceLayout, ImageLayout, LayoutError, UnknownLayout};
 pub use names::{CameraName, CameraNameError};
 pub use pixels::{BayerOrder, PixelFormat, UnknownFormat};
 pub use timing::{StampModel, StampSource, nanos};
+pub use value_range::{ValueRange, WrongRange};
 
 /// Frame interval in seconds, as a fraction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -41,7 +45,7 @@ impl Interval {
 pub struct ModeRequest {
     /// Pixel format.
     pub format: PixelFormat,
-    /// Size of images.
+    /// Size of the images of one view, before they are cropped.
     pub size: ImageSize,
     /// Frame interval.
     pub interval: Interval,
@@ -93,11 +97,24 @@ pub struct CameraConfig {
     pub exposure: Option<Duration>,
     /// Timestamp model.
     pub stamps: StampModel,
+    /// The part of the view that is used; `None`: all of it.
+    pub crop: Option<Crop>,
+}
+
+impl CameraConfig {
+    /// The part of the view that is used.
+    pub fn crop(&self) -> Crop {
+        self.crop.unwrap_or_else(|| Crop::whole(self.mode.size))
+    }
 }
 
 /// Both cameras, and the limits for pairs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StereoConfig {
+    /// Whether each view has a device of its own. If one device has both, `left` describes it, and of `right` only `crop` is used.
+    pub layout: DeviceLayout,
+    /// The values that become black and white in formats with more than 8 bits; `None`: all values of the format.
+    pub range: Option<ValueRange>,
     /// Left.
     pub left: CameraConfig,
     /// Right.
@@ -106,6 +123,19 @@ pub struct StereoConfig {
     pub skew_max: Duration,
     /// Speed of the target relative to the cameras for which messages state the error caused by a skew, metres per second.
     pub speed_max_m_per_s: f64,
+}
+
+impl StereoConfig {
+    /// Size of the images of a pair.
+    pub fn size(&self) -> ImageSize {
+        self.left.crop().size
+    }
+
+    /// The values that become black and white; `None` for formats with 8 bits.
+    pub fn value_range(&self) -> Option<ValueRange> {
+        let of_format = self.left.mode.format.full_range()?;
+        Some(self.range.unwrap_or(of_format))
+    }
 }
 
 /// The limit for cameras on a moving hand: 0.5 mm at 100 mm/s.

@@ -1,5 +1,7 @@
 //! Pixel formats of cameras.
 
+use crate::value_range::ValueRange;
+
 /// The pixel format of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum PixelFormat {
@@ -7,6 +9,16 @@ pub enum PixelFormat {
     Yuyv,
     /// `GREY`: one byte of luminance.
     Grey,
+    /// `Y10 `: 16 bits of luminance, low byte first, of which the low 10 are used.
+    Y10,
+    /// `Y12 `: 16 bits of luminance, low byte first, of which the low 12 are used.
+    Y12,
+    /// `Y16 `: 16 bits of luminance, low byte first.
+    Y16,
+    /// `NV12`: a plane of luminance, and after it one of chroma U, V for each 2x2 pixels, with rows of the same length.
+    Nv12,
+    /// `Y8I `: two images of one byte of luminance, pixel by pixel: left, right, left, right.
+    Y8i,
     /// `RGB3`: red, green, blue.
     Rgb24,
     /// `BGR3`: blue, green, red.
@@ -19,11 +31,16 @@ pub enum PixelFormat {
 
 impl PixelFormat {
     /// Every format, fastest conversion first.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 14] = [
         Self::Yuyv,
         Self::Rgb24,
         Self::Bgr24,
         Self::Grey,
+        Self::Y8i,
+        Self::Y10,
+        Self::Y12,
+        Self::Y16,
+        Self::Nv12,
         Self::Bayer8(BayerOrder::Rggb),
         Self::Bayer8(BayerOrder::Grbg),
         Self::Bayer8(BayerOrder::Gbrg),
@@ -36,6 +53,11 @@ impl PixelFormat {
         match self {
             Self::Yuyv => *b"YUYV",
             Self::Grey => *b"GREY",
+            Self::Y10 => *b"Y10 ",
+            Self::Y12 => *b"Y12 ",
+            Self::Y16 => *b"Y16 ",
+            Self::Nv12 => *b"NV12",
+            Self::Y8i => *b"Y8I ",
             Self::Rgb24 => *b"RGB3",
             Self::Bgr24 => *b"BGR3",
             Self::Bayer8(BayerOrder::Rggb) => *b"RGGB",
@@ -46,11 +68,13 @@ impl PixelFormat {
         }
     }
 
-    /// Name of the encoding in ROS 2 (`sensor_msgs/image_encodings.hpp`); `jpeg` for a file.
+    /// Name of the encoding of one view in ROS 2 (`sensor_msgs/image_encodings.hpp`); `jpeg` for a file, empty if ROS 2 has none.
     pub const fn ros_encoding(self) -> &'static str {
         match self {
             Self::Yuyv => "yuv422_yuy2",
-            Self::Grey => "mono8",
+            Self::Grey | Self::Y8i => "mono8",
+            Self::Y10 | Self::Y12 | Self::Y16 => "mono16",
+            Self::Nv12 => "",
             Self::Rgb24 => "rgb8",
             Self::Bgr24 => "bgr8",
             Self::Bayer8(BayerOrder::Rggb) => "bayer_rggb8",
@@ -73,8 +97,37 @@ impl PixelFormat {
             // Two pixels share their chroma: an odd last pixel has its own pair.
             Self::Yuyv => Some(width.div_ceil(2) * 4),
             Self::Grey | Self::Bayer8(_) => Some(width),
+            Self::Y10 | Self::Y12 | Self::Y16 | Self::Y8i => Some(2 * width),
+            // The chroma plane has a pair of bytes for an odd last pixel, in rows of the same length.
+            Self::Nv12 => Some(width.next_multiple_of(2)),
             Self::Rgb24 | Self::Bgr24 => Some(3 * width),
             Self::Mjpg => None,
+        }
+    }
+
+    /// Number of rows in memory, of all planes, for an image with this number of rows.
+    pub fn memory_rows(self, height: u32) -> usize {
+        let height = height as usize;
+        height + if self == Self::Nv12 { height.div_ceil(2) } else { 0 }
+    }
+
+    /// The values that are black and white unless a range is stated; `None` for formats with 8 bits.
+    pub fn full_range(self) -> Option<ValueRange> {
+        let bits = match self {
+            Self::Y10 => 10,
+            Self::Y12 => 12,
+            Self::Y16 => 16,
+            _ => return None,
+        };
+        ValueRange::new(0, u16::MAX >> (16 - bits))
+    }
+
+    /// Columns and rows of the pattern that repeats: a part of an image begins at a multiple of both.
+    pub const fn pattern(self) -> [u32; 2] {
+        match self {
+            Self::Yuyv => [2, 1],
+            Self::Nv12 | Self::Bayer8(_) => [2, 2],
+            _ => [1, 1],
         }
     }
 }
@@ -90,14 +143,15 @@ impl std::str::FromStr for PixelFormat {
     type Err = UnknownFormat;
 
     fn from_str(text: &str) -> Result<Self, UnknownFormat> {
-        let fourcc = <[u8; 4]>::try_from(text.as_bytes()).ok();
+        // V4L2 fills up shorter names with a space.
+        let fourcc = <[u8; 4]>::try_from(format!("{text:<4}").as_bytes()).ok();
         fourcc.and_then(Self::of_fourcc).ok_or_else(|| UnknownFormat { text: text.to_owned() })
     }
 }
 
 impl std::fmt::Display for PixelFormat {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(&String::from_utf8_lossy(&self.fourcc()))
+        f.write_str(String::from_utf8_lossy(&self.fourcc()).trim_end())
     }
 }
 

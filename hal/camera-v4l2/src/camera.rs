@@ -1,20 +1,21 @@
-//! Two V4L2 cameras as one stereo camera.
+//! One or two V4L2 devices as one stereo camera.
 
 use std::sync::Arc;
 use std::time::Duration;
 
-use pb3dp_camera_settings::{CameraConfig, StereoConfig, nanos};
+use pb3dp_camera_settings::StereoConfig;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
 
 use crate::controls::{self, Control, Focus};
 use crate::error::{failed, unusable};
-use crate::modes::{self, Mode};
-use crate::names::{self, CaptureDevice};
+use crate::modes::Mode;
+use crate::names::CaptureDevice;
+use crate::opening::{OpenedDevices, open_devices};
 use crate::pairing::{Drift, DriftEstimator, Verdict, judge};
-use crate::stream::{Drained, Stream, StreamConfig, StreamCounters};
+use crate::stream::{Drained, Side, Stream, StreamCounters, Streams};
 use crate::timing::ClockMap;
-use crate::video::{VideoNode, VideoSystem};
+use crate::video::VideoSystem;
 use pb3dp_camera_pixels::PixelError;
 
 /// A camera without any image for this number of periods counts as silent. A working camera is late by less than a period: on an
@@ -26,18 +27,12 @@ const SILENT_PERIODS: f64 = 2.0;
 /// The same for a camera whose images are invalid: one image may be damaged, and the next one late by half a period.
 const DAMAGED_PERIODS: f64 = 2.5;
 
-/// Maximum time, in periods, that an image may wait in the driver; the buffered images of a late caller are older.
-const AGE_PERIODS_MAX: u32 = 4;
-
-/// Number of driver buffers: one is held, one is being filled, two are reserve for a late caller.
-const BUFFERS: u32 = 4;
-
 /// Counters of received and dropped images.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StereoCounters {
     /// Of the left camera.
     pub left: StreamCounters,
-    /// Of the right camera.
+    /// Of the right camera; those of the left one if one device has both views.
     pub right: StreamCounters,
     /// Pairs that were delivered.
     pub pairs: u64,
@@ -47,15 +42,6 @@ pub struct StereoCounters {
     pub skew_max_nanos: u64,
     /// Drift between the two cameras; `None` before it is known.
     pub drift: Option<Drift>,
-}
-
-/// Left or right.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Side {
-    /// The left camera.
-    Left,
-    /// The right camera.
-    Right,
 }
 
 /// Identity of a camera and its lens setting.
@@ -69,7 +55,8 @@ pub struct CameraIdentity {
     pub focus: Focus,
 }
 
-/// Two V4L2 devices that deliver pairs. If one is lost both are closed, and the camera must be opened again.
+/// Two V4L2 devices that deliver pairs, or one whose images have both views; a pair of one device has one time, and the skew 0. If one is
+/// lost both are closed, and the camera must be opened again.
 pub struct V4l2StereoCamera {
     info: StereoCameraInfo,
     found: [CaptureDevice; 2],
@@ -108,44 +95,23 @@ impl LastImages {
 }
 
 enum State {
-    Open(Box<[Stream; 2]>),
+    Open(Streams),
     /// The message of every call.
     Lost(String),
 }
 
 impl V4l2StereoCamera {
-    /// Opens both devices, sets the requested mode and controls, reads them back, and starts the streams.
+    /// Opens the devices, sets the requested mode and controls, reads them back, and starts the streams.
     ///
     /// # Errors
-    /// `Disconnected` if a device is missing; `Unusable` if it is in use, not permitted, or not as requested.
+    /// `Disconnected` if a device is missing; `Unusable` if it is in use, not permitted, or not as requested, or if the layout or a crop
+    /// does not suit its images.
     pub fn open(
         system: Arc<dyn VideoSystem>,
         clock: Arc<dyn Clock>,
         config: &StereoConfig,
     ) -> Result<Self, CameraError> {
-        let [(left_found, mut left), (right_found, mut right)] =
-            [names::open(system.as_ref(), &config.left.name)?, names::open(system.as_ref(), &config.right.name)?];
-        let name = format!("v4l2 {} + {}", config.left.name, config.right.name);
-        if left_found.entry.path == right_found.entry.path {
-            return Err(unusable(
-                &name,
-                format!("left and right are the same camera, {}", left_found.entry.path.display()),
-            ));
-        }
-        let left_mode = prepare(left.as_mut(), &left_found, &config.left)?;
-        let right_mode = prepare(right.as_mut(), &right_found, &config.right)?;
-        let size = left_mode.mode.layout.size;
-        if size != right_mode.mode.layout.size {
-            return Err(unusable(&name, format!("image sizes differ: {size:?} and {:?}", right_mode.mode.layout.size)));
-        }
-        let [period, other] = [&left_mode, &right_mode].map(|prepared| prepared.mode.period_s);
-        if (period - other).abs() > 1e-6 * period {
-            return Err(unusable(
-                &name,
-                format!("frame rates differ: {:.4} and {:.4} images per second", 1.0 / period, 1.0 / other),
-            ));
-        }
-        let period = Duration::from_secs_f64(period);
+        let OpenedDevices { name, found, mut streams, period } = open_devices(system.as_ref(), config)?;
         if config.skew_max >= period {
             let what = format!(
                 "the maximum skew is {:?}, it must be shorter than the frame period of {period:?}",
@@ -153,21 +119,20 @@ impl V4l2StereoCamera {
             );
             return Err(unusable(&name, what));
         }
-        let mut streams = [Stream::new(left, left_mode, BUFFERS)?, Stream::new(right, right_mode, BUFFERS)?];
-        for stream in &mut streams {
+        for stream in streams.all_mut() {
             stream.start()?;
         }
         let clock_map = ClockMap::measure(system.as_ref(), clock.as_ref());
         Ok(Self {
-            info: StereoCameraInfo { name, size, period: Some(period) },
-            found: [left_found, right_found],
+            info: StereoCameraInfo { name, size: config.size(), period: Some(period) },
+            found,
             system,
             clock,
             clock_map,
             period,
             skew_max: config.skew_max,
             speed_max_m_per_s: config.speed_max_m_per_s,
-            state: State::Open(Box::new(streams)),
+            state: State::Open(streams),
             counters: StereoCounters::default(),
             drift: DriftEstimator::new(period),
             last: None,
@@ -179,8 +144,7 @@ impl V4l2StereoCamera {
     pub fn counters(&self) -> StereoCounters {
         let mut counters = self.counters;
         if let State::Open(streams) = &self.state {
-            let [left, right] = &**streams;
-            (counters.left, counters.right) = (left.counters, right.counters);
+            (counters.left, counters.right) = (streams.of(Side::Left).counters, streams.of(Side::Right).counters);
         }
         counters.drift = self.drift.drift();
         counters
@@ -237,7 +201,7 @@ impl V4l2StereoCamera {
 
     fn stream(&mut self, side: Side) -> Result<&mut Stream, CameraError> {
         match &mut self.state {
-            State::Open(streams) => Ok(&mut streams[side as usize]),
+            State::Open(streams) => Ok(streams.of_mut(side)),
             State::Lost(message) => Err(CameraError::new(CameraErrorKind::Disconnected, message.clone())),
         }
     }
@@ -272,7 +236,7 @@ impl V4l2StereoCamera {
     fn drain(&mut self) -> Result<(), CameraError> {
         let (now_nanos, now) = (self.system.monotonic_nanos(), self.clock.now());
         let State::Open(streams) = &mut self.state else { return Ok(()) };
-        for (stream, last_images) in streams.iter_mut().zip(&mut self.last_images) {
+        for (stream, last_images) in streams.all_mut().iter_mut().zip(&mut self.last_images) {
             LastImages::note(last_images, stream.drain(now_nanos)?, now);
         }
         Ok(())
@@ -280,8 +244,18 @@ impl V4l2StereoCamera {
 
     /// Delivers a pair if there is one; drops images whose partners are lost.
     fn deliver(&mut self, pair: &mut FramePair) -> Result<bool, CameraError> {
-        let State::Open(streams) = &mut self.state else { return Ok(false) };
-        let [left, right] = &mut **streams;
+        let (left, right) = match &mut self.state {
+            State::Open(Streams::Two(streams)) => {
+                let [left, right] = &mut **streams;
+                (left, right)
+            }
+            State::Open(Streams::One(stream)) => {
+                let Some(held) = stream.held() else { return Ok(false) };
+                convert_both(stream, pair)?;
+                return self.stamp(pair, held.mid_nanos, 0).map(|()| true);
+            }
+            State::Lost(_) => return Ok(false),
+        };
         let (Some(left_held), Some(right_held)) = (left.held(), right.held()) else { return Ok(false) };
         let skew_nanos = right_held.mid_nanos.saturating_sub(left_held.mid_nanos);
         match judge(left_held.mid_nanos, right_held.mid_nanos, self.period, self.skew_max) {
@@ -296,17 +270,7 @@ impl V4l2StereoCamera {
             }
             Verdict::Pair => {
                 self.drift.add(left_held.mid_nanos, skew_nanos);
-                let [left_delivered, right_delivered] = &mut pair.delivered;
-                let converted =
-                    left.convert(&mut pair.left, left_delivered).map_err(|error| (left.config.device.clone(), error));
-                let converted = converted.and_then(|()| {
-                    right
-                        .convert(&mut pair.right, right_delivered)
-                        .map_err(|error| (right.config.device.clone(), error))
-                });
-                left.give_back()?;
-                right.give_back()?;
-                converted.map_err(|(device, error)| damaged(&device, error))?;
+                convert_each([left, right], pair)?;
                 return self.stamp(pair, left_held.mid_nanos, skew_nanos).map(|()| true);
             }
         }
@@ -359,7 +323,7 @@ impl V4l2StereoCamera {
     ) -> Result<MonotonicTime, CameraError> {
         let State::Open(streams) = &self.state else { return Ok(deadline) };
         let mut earliest = deadline;
-        for (stream, last_images) in streams.iter().zip(&mut self.last_images) {
+        for (stream, last_images) in streams.all().iter().zip(&mut self.last_images) {
             let Some(LastImages { any, good }) = *last_images else { continue };
             let [of_any, of_good] =
                 [(any, SILENT_PERIODS), (good, DAMAGED_PERIODS)].map(|(at, n)| (at + self.period.mul_f64(n), n));
@@ -380,23 +344,23 @@ impl V4l2StereoCamera {
 
     fn complaints(&self) -> String {
         let State::Open(streams) = &self.state else { return String::new() };
-        let lines = streams.iter().map(|stream| {
+        let lines = streams.all().iter().map(|stream| {
             let nothing = if stream.counters.good == 0 { "no image yet" } else { "no problem found" };
             format!("; {}: {}", stream.config.device, stream.complaint().unwrap_or(nothing))
         });
         lines.collect()
     }
 
-    /// Waits for either camera.
+    /// Waits for any device.
     fn wait(&mut self, timeout: Duration) -> Result<(), CameraError> {
         let State::Open(streams) = &mut self.state else { return Ok(()) };
-        let [left, right] = &**streams;
+        let handles = [Side::Left, Side::Right].map(|side| streams.of(side).handle());
         let ready = self
             .system
-            .wait([left.handle(), right.handle()], timeout)
+            .wait(handles, timeout)
             .map_err(|error| failed(&self.info.name, "waiting for an image", error))?;
         let now_nanos = self.system.monotonic_nanos();
-        for ((stream, ready), last_images) in streams.iter_mut().zip(ready).zip(&mut self.last_images) {
+        for ((stream, ready), last_images) in streams.all_mut().iter_mut().zip(ready).zip(&mut self.last_images) {
             if ready.has_failed {
                 // The driver's own error is more specific, if there is one.
                 let drained = stream.drain(now_nanos)?;
@@ -412,32 +376,32 @@ impl V4l2StereoCamera {
     }
 }
 
+/// Converts the images of two devices, and returns them to their drivers.
+fn convert_each([left, right]: [&mut Stream; 2], pair: &mut FramePair) -> Result<(), CameraError> {
+    let [left_delivered, right_delivered] = &mut pair.delivered;
+    let converted = left
+        .convert(&mut [&mut pair.left], &mut [left_delivered])
+        .map_err(|error| damaged(&left.config.device, error))
+        .and_then(|()| {
+            right
+                .convert(&mut [&mut pair.right], &mut [right_delivered])
+                .map_err(|error| damaged(&right.config.device, error))
+        });
+    left.give_back()?;
+    right.give_back()?;
+    converted
+}
+
+/// Converts both views of a device, and returns its image to the driver.
+fn convert_both(stream: &mut Stream, pair: &mut FramePair) -> Result<(), CameraError> {
+    let converted = stream.convert(&mut [&mut pair.left, &mut pair.right], &mut pair.delivered.each_mut());
+    stream.give_back()?;
+    converted.map_err(|error| damaged(&stream.config.device, error))
+}
+
 fn damaged(device: &str, error: PixelError) -> CameraError {
     let message = format!("{device}: an image is damaged; if this happens often, check cable and hub");
     CameraError::caused_by(CameraErrorKind::BadPair, message, error)
-}
-
-/// Sets the requested mode and controls of a device.
-fn prepare(
-    node: &mut dyn VideoNode,
-    found: &CaptureDevice,
-    config: &CameraConfig,
-) -> Result<StreamConfig, CameraError> {
-    let device = format!("{} ({})", config.name, found.entry.path.display());
-    let mode = modes::negotiate(node, &device, &config.mode)?;
-    let told = controls::apply(node, &device, &config.controls)?;
-    let exposure = told.or(config.exposure).ok_or_else(|| {
-        let what = "it does not report its exposure time, which is needed for the image timestamps; set a manual exposure, \
-                    or give the exposure time";
-        unusable(&device, what)
-    })?;
-    let period = Duration::from_secs_f64(mode.period_s);
-    // A timestamp may be earlier than the arrival by exposure and transfer, which take up to a period each.
-    let age_max = period * AGE_PERIODS_MAX + exposure + config.stamps.readout + config.stamps.delay;
-    if nanos(age_max) == i64::MAX {
-        return Err(unusable(&device, "its exposure, readout and delay times are too long"));
-    }
-    Ok(StreamConfig { device, mode, exposure, stamps: config.stamps, age_max })
 }
 
 impl StereoCamera for V4l2StereoCamera {

@@ -1,6 +1,6 @@
-//! Stereo camera backend on two V4L2 devices.
+//! Stereo camera backend on two V4L2 devices, or on one whose images have both views.
 //!
-//! [`V4l2StereoCamera`] opens two cameras by persistent names ([`names`]), requests a mode and refuses silent changes by the
+//! [`V4l2StereoCamera`] opens the cameras by persistent names ([`names`]), requests a mode and refuses silent changes by the
 //! driver ([`modes`]), and disables automatic modes ([`controls`]). It delivers pairs: the newest images of both sides, with the
 //! middle of their exposures ([`timing`]), matched by time ([`pairing`]). Damaged, short, old and wrongly stamped images are
 //! dropped and counted ([`StreamCounters`]). A lost or silent camera is an error two periods after its last image.
@@ -13,15 +13,17 @@ mod camera;
 pub mod controls;
 pub mod emulated;
 mod error;
+pub mod known_models;
 pub mod linux;
 pub mod modes;
 pub mod names;
+mod opening;
 pub mod pairing;
 mod reopening;
 mod stream;
 pub mod timing;
 pub mod video;
 
-pub use camera::{CameraIdentity, Side, StereoCounters, V4l2StereoCamera};
+pub use camera::{CameraIdentity, StereoCounters, V4l2StereoCamera};
 pub use reopening::ReopeningCamera;
-pub use stream::StreamCounters;
+pub use stream::{Side, StreamCounters};

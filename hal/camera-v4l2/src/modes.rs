@@ -157,7 +157,7 @@ fn set_rate(node: &mut dyn VideoNode, device: &str, request: &ModeRequest) -> Re
     Ok(found_s)
 }
 
-/// Meaning of the `YUYV` bytes: kernel documentation, "Defining Colorspaces in V4L2", including its defaults for unspecified
+/// Meaning of the bytes of `YUYV` and `NV12`: kernel documentation, "Defining Colorspaces in V4L2", including its defaults for unspecified
 /// fields.
 fn colours(format: &RawFormat) -> (YuvMatrix, YuvRange) {
     let is_709 = ENCODINGS_709.contains(&format.encoding)
@@ -177,7 +177,7 @@ fn offers(node: &dyn VideoNode) -> String {
 
 impl std::fmt::Display for OfferedFormat {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{}", String::from_utf8_lossy(&self.fourcc))?;
+        f.write_str(String::from_utf8_lossy(&self.fourcc).trim_end())?;
         for (size, intervals) in &self.sizes {
             match size {
                 SizeEntry::Discrete(ImageSize { width, height }) => write!(f, " {width}x{height}")?,

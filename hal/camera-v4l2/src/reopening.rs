@@ -1,4 +1,4 @@
-//! Two cameras that are reopened after one of them was lost.
+//! Cameras that are reopened after one of them was lost.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -7,10 +7,11 @@ use pb3dp_camera_settings::StereoConfig;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
 
-use crate::camera::{CameraIdentity, Side, StereoCounters, V4l2StereoCamera};
+use crate::camera::{CameraIdentity, StereoCounters, V4l2StereoCamera};
 use crate::controls::Control;
 use crate::error::unusable;
 use crate::names::CaptureDevice;
+use crate::stream::Side;
 use crate::video::VideoSystem;
 
 /// Time between two attempts to open lost cameras. An attempt queries every video device of the computer.
@@ -50,7 +51,7 @@ enum State {
 }
 
 impl ReopeningCamera {
-    /// Opens both devices as [`V4l2StereoCamera::open`] does. After a loss they are searched for the time `reopen_for`; zero: not
+    /// Opens the devices as [`V4l2StereoCamera::open`] does. After a loss they are searched for the time `reopen_for`; zero: not
     /// at all.
     ///
     /// # Errors
@@ -114,10 +115,10 @@ impl ReopeningCamera {
         self.reopened
     }
 
-    /// Whether different serial numbers tell left and right apart. Otherwise a reopened camera is identified by its port, and exchanged
-    /// cables only show in the images.
+    /// Whether left and right cannot be exchanged unnoticed: different serial numbers tell them apart, or one device has both views.
+    /// Otherwise a reopened camera is identified by its port, and exchanged cables only show in the images.
     pub fn are_told_apart(&self) -> bool {
-        are_told_apart(&self.first)
+        is_one_device(&self.first) || have_numbers(&self.first)
     }
 
     /// Closes both devices; each call reports this until they are open again.
@@ -197,8 +198,9 @@ impl ReopeningCamera {
 
 /// Refuses other cameras than those of the start, and exchanged ones: the calibration belongs to those of the start.
 fn same_as(first: &[CaptureDevice; 2], camera: V4l2StereoCamera) -> Result<V4l2StereoCamera, CameraError> {
-    let by_port = !are_told_apart(first);
-    let mut sides = ["left", "right"].into_iter().zip(first.iter().zip(camera.devices()));
+    let by_port = !have_numbers(first);
+    let names = if is_one_device(first) { ["the device"; 2] } else { ["left", "right"] };
+    let mut sides = names.into_iter().zip(first.iter().zip(camera.devices()));
     let other = sides.find_map(|(side, (was, is))| {
         let differs =
             |what: &str, was: &str, is: &str| (was != is).then(|| format!("{side} has {what} {is}, not {was}"));
@@ -214,8 +216,15 @@ fn same_as(first: &[CaptureDevice; 2], camera: V4l2StereoCamera) -> Result<V4l2S
     Err(unusable(&camera.info().name, what))
 }
 
-fn are_told_apart([left, right]: &[CaptureDevice; 2]) -> bool {
-    left.entry.serial.is_some() && right.entry.serial.is_some() && left.entry.serial != right.entry.serial
+/// Whether one device has both views.
+fn is_one_device([left, right]: &[CaptureDevice; 2]) -> bool {
+    left.entry.path == right.entry.path
+}
+
+/// Whether serial numbers identify the devices.
+fn have_numbers(devices: &[CaptureDevice; 2]) -> bool {
+    let [left, right] = devices.each_ref().map(|device| device.entry.serial.as_ref());
+    left.is_some() && right.is_some() && (left != right || is_one_device(devices))
 }
 
 impl StereoCamera for ReopeningCamera {

@@ -3,13 +3,13 @@
 use std::time::Duration;
 
 use image::RgbImage;
-use pb3dp_camera_settings::{StampModel, nanos};
+use pb3dp_camera_settings::{StampModel, ValueRange, nanos};
 use pb3dp_hal_api::{CameraError, CameraErrorKind, DeliveredImage};
 
 use crate::error::{failed, unusable};
 use crate::modes::Mode;
 use crate::video::{Filled, Handle, VideoNode};
-use pb3dp_camera_pixels::{Converter, PixelError};
+use pb3dp_camera_pixels::{PixelError, View, ViewsConverter};
 
 /// Maximum number of buffers taken at once; protects against a driver that fills buffers faster than they are taken.
 const BUFFERS_AT_ONCE_MAX: u32 = 64;
@@ -17,6 +17,15 @@ const BUFFERS_AT_ONCE_MAX: u32 = 64;
 /// Tolerance for timestamps in the future: two clocks are read one after the other, and some drivers (`vivid`) stamp the nominal
 /// time of an image, up to a kernel tick (4 ms at 250 Hz) before or after.
 const FUTURE_NANOS_MAX: i64 = 4_000_000;
+
+/// Left or right.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Side {
+    /// The left camera.
+    Left,
+    /// The right camera.
+    Right,
+}
 
 /// Image counters of one camera since it was opened, by result.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -80,7 +89,7 @@ pub(crate) struct StreamConfig {
 pub(crate) struct Stream {
     pub(crate) config: StreamConfig,
     node: Box<dyn VideoNode>,
-    converter: Converter,
+    converter: ViewsConverter,
     held: Option<Held>,
     pub(crate) counters: StreamCounters,
     last_sequence: Option<u32>,
@@ -90,10 +99,17 @@ pub(crate) struct Stream {
 }
 
 impl Stream {
-    /// Maps buffers and gives them to the driver; the stream is not started.
-    pub(crate) fn new(mut node: Box<dyn VideoNode>, config: StreamConfig, buffers: u32) -> Result<Self, CameraError> {
+    /// Maps buffers and gives them to the driver; the stream is not started. `views` are those in its images; `values` become black and
+    /// white in formats with more than 8 bits.
+    pub(crate) fn new(
+        mut node: Box<dyn VideoNode>,
+        config: StreamConfig,
+        (views, values): (&[View], Option<ValueRange>),
+        buffers: u32,
+    ) -> Result<Self, CameraError> {
         let device = &config.device;
-        let converter = Converter::new(config.mode.layout).map_err(|error| unusable(device, error))?;
+        let converter = ViewsConverter::new(config.mode.layout, views, values);
+        let converter = converter.map_err(|error| unusable(device, error))?;
         let given = node.request_buffers(buffers).map_err(|error| failed(device, "asking for buffers", error))?;
         // One is held, one is being filled, one waits to be filled.
         if given < 3 {
@@ -220,21 +236,27 @@ impl Stream {
         Ok(Held { index: filled.index, bytes: filled.bytes, mid_nanos })
     }
 
-    /// Converts the held image, and copies it as it was delivered.
-    pub(crate) fn convert(&mut self, target: &mut RgbImage, delivered: &mut DeliveredImage) -> Result<(), PixelError> {
+    /// Converts each view of the held image, and copies the view as it was delivered.
+    pub(crate) fn convert(
+        &mut self,
+        targets: &mut [&mut RgbImage],
+        delivered: &mut [&mut DeliveredImage],
+    ) -> Result<(), PixelError> {
         let Some(held) = self.held else { return Ok(()) };
         let memory = self.node.memory(held.index);
         let bytes = &memory[..held.bytes.min(memory.len())];
-        let converted = self.converter.convert(bytes, target);
-        delivered.clear();
+        let converted = self.converter.convert(bytes, targets);
+        delivered.iter_mut().for_each(|delivered| delivered.clear());
         if converted.is_err() {
             // It passed all checks until now.
             self.counters.good -= 1;
             self.counters.damaged += 1;
-        } else {
-            delivered.encoding = self.converter.copy_delivered(bytes, &mut delivered.bytes);
+            return converted;
         }
-        converted
+        for (view, delivered) in delivered.iter_mut().enumerate() {
+            delivered.encoding = self.converter.copy_delivered(view, bytes, &mut delivered.bytes);
+        }
+        Ok(())
     }
 
     /// Returns the held image to the driver.
@@ -260,5 +282,47 @@ impl Drop for Stream {
     fn drop(&mut self) {
         // Closing the device has the same effect; a disconnected device returns an error.
         let _ = self.node.stop();
+    }
+}
+
+/// The open devices: one per view, or one with both views.
+pub(crate) enum Streams {
+    /// Left and right.
+    Two(Box<[Stream; 2]>),
+    /// Both views.
+    One(Box<Stream>),
+}
+
+impl Streams {
+    /// Every device once.
+    pub(crate) fn all(&self) -> &[Stream] {
+        match self {
+            Self::Two(streams) => &**streams,
+            Self::One(stream) => std::slice::from_ref(stream),
+        }
+    }
+
+    /// As [`Self::all`].
+    pub(crate) fn all_mut(&mut self) -> &mut [Stream] {
+        match self {
+            Self::Two(streams) => &mut **streams,
+            Self::One(stream) => std::slice::from_mut(stream),
+        }
+    }
+
+    /// The device of a view.
+    pub(crate) fn of(&self, side: Side) -> &Stream {
+        match self {
+            Self::Two(streams) => &streams[side as usize],
+            Self::One(stream) => stream,
+        }
+    }
+
+    /// As [`Self::of`].
+    pub(crate) fn of_mut(&mut self, side: Side) -> &mut Stream {
+        match self {
+            Self::Two(streams) => &mut streams[side as usize],
+            Self::One(stream) => stream,
+        }
     }
 }

@@ -3,5 +3,6 @@
 
 mod camera;
 mod jpeg;
+mod one_device;
 mod reopening;
 mod support;

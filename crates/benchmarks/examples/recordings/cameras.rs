@@ -11,8 +11,8 @@ use pb3dp_bag::pairs::{PairOptions, StereoBag};
 use pb3dp_bag::sinks::Sinks;
 use pb3dp_bag::writer::{BagWriter, WhenFull};
 use pb3dp_camera_settings::{
-    CameraConfig, CameraName, ControlSettings, Interval, ModeRequest, PixelFormat, SKEW_MAX, Setting, StampModel,
-    StereoConfig,
+    CameraConfig, CameraName, ControlSettings, DeviceLayout, Interval, ModeRequest, PixelFormat, SKEW_MAX, Setting,
+    StampModel, StereoConfig,
 };
 use pb3dp_camera_v4l2::V4l2StereoCamera;
 use pb3dp_camera_v4l2::emulated::{EmulatedCamera, EmulatedSystem};
@@ -146,8 +146,10 @@ fn cameras(format: PixelFormat, fourcc: [u8; 4]) -> Result<(Arc<dyn Clock>, V4l2
         controls: ControlSettings { exposure: Setting::Manual(Duration::from_millis(4)), ..ControlSettings::default() },
         exposure: None,
         stamps: StampModel::default(),
+        crop: None,
     };
-    let config = StereoConfig { left: config(0), right: config(1), skew_max: SKEW_MAX, speed_max_m_per_s: 0.1 };
+    let (layout, left, right) = (DeviceLayout::TwoDevices, config(0), config(1));
+    let config = StereoConfig { layout, range: None, left, right, skew_max: SKEW_MAX, speed_max_m_per_s: 0.1 };
     let camera = V4l2StereoCamera::open(Arc::new(system), Arc::clone(&clock), &config)?;
     Ok((clock, camera))
 }

@@ -45,7 +45,7 @@ use self::arm::{SharedScript, has_begin};
 pub use self::differences::{Compared, Differences, First, Kind};
 use self::past::Past;
 use self::reporting::Reporting;
-use self::source::{Item, RecordedPair, RecordedRun};
+use self::source::{DecodeOptions, Item, RecordedPair, RecordedRun};
 use crate::estimates::{is_same_estimate, pair_result, recorded_estimate};
 use crate::exact::{marking, of_pose_if_any, percept, pose_if_any, region, same_bits};
 use crate::pairs::About;
@@ -165,7 +165,8 @@ impl Opened {
         let moving = Moving::new(setup, (heard.vs, heard.tc), &*experiment, begin)?.with_operator(heard.operator);
         let estimating = if anew { Some(estimating(setup, run)?) } else { None };
         let RecordedRun { version, items, .. } = run;
-        let size = setup.rig.stereo.left().size();
+        let range = setup.rig.real_cameras.as_ref().and_then(|cameras| cameras.stereo.value_range());
+        let how = DecodeOptions { size: setup.rig.stereo.left().size(), range };
         let (give_items, read_ahead) = sync_channel(READ_AHEAD);
         let mut replay = Replay {
             begin,
@@ -192,7 +193,7 @@ impl Opened {
         }
         let read = move || {
             loop {
-                let item = items.next_item(size).transpose();
+                let item = items.next_item(how).transpose();
                 let is_last = !matches!(item, Some(Ok(_)));
                 if item.is_some_and(|item| give_items.send(item).is_err()) || is_last {
                     return;

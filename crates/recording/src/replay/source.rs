@@ -17,6 +17,7 @@ use pb3dp_bag::topics::ours;
 use pb3dp_cell::spectator::RunEnd;
 use pb3dp_geometry::{ImageSize, MonotonicTime};
 use pb3dp_hal_api::FramePair;
+use pb3dp_record::value_range::ValueRange;
 use pb3dp_setup::layers::SetupArgs;
 use tempfile::TempDir;
 
@@ -50,6 +51,15 @@ pub struct Items {
     ahead: Option<RawMessage>,
     images: [VecDeque<(MonotonicTime, RawMessage)>; 2],
     drawn_on: [Option<(MonotonicTime, RawMessage)>; 2],
+}
+
+/// How the images of a run become those that its estimates had.
+#[derive(Clone, Copy, Debug)]
+pub struct DecodeOptions {
+    /// Size of the calibration.
+    pub size: ImageSize,
+    /// The values that became black and white, for cameras with more than 8 bits.
+    pub range: Option<ValueRange>,
 }
 
 /// The next part of a run.
@@ -109,11 +119,11 @@ impl RecordedRun {
 }
 
 impl Items {
-    /// The next step or pair, its images decoded; none at the end. Images have the size of the calibration.
+    /// The next step or pair, its images decoded; none at the end.
     ///
     /// # Errors
     /// A damaged message.
-    pub fn next_item(&mut self, size: ImageSize) -> Result<Option<Item>> {
+    pub fn next_item(&mut self, how: DecodeOptions) -> Result<Option<Item>> {
         loop {
             let message = match self.ahead.take() {
                 Some(message) => message,
@@ -134,7 +144,7 @@ impl Items {
                 }
                 (.., ours::EVENTS) => return Ok(Some(Item::Event(decoded(&message)?))),
                 (.., ours::END) => return Ok(Some(Item::End(end(&decoded(&message)?)))),
-                (.., ours::PAIRS) => return Ok(Some(Item::Pair(Box::new(self.pair(decoded(&message)?, size)?)))),
+                (.., ours::PAIRS) => return Ok(Some(Item::Pair(Box::new(self.pair(decoded(&message)?, how)?)))),
                 _ => {}
             }
         }
@@ -149,7 +159,7 @@ impl Items {
         Ok(())
     }
 
-    fn pair(&mut self, result: PairResult, size: ImageSize) -> Result<RecordedPair> {
+    fn pair(&mut self, result: PairResult, how: DecodeOptions) -> Result<RecordedPair> {
         let skew_nanos = (result.skew_s * 1e9).round() as i64;
         let left_at = result.exposed_at_nanos.saturating_add(self.begin.since_1970_nanos);
         let right_at = left_at.saturating_add_signed(skew_nanos);
@@ -157,13 +167,13 @@ impl Items {
         let exposed_at = MonotonicTime::from_nanos(result.exposed_at_nanos);
         let images = take_at(left, left_at)
             .zip(take_at(right, right_at))
-            .map(|(left, right)| pair([&left, &right], size, (result.sequence, exposed_at, skew_nanos)))
+            .map(|(left, right)| pair([&left, &right], how, (result.sequence, exposed_at, skew_nanos)))
             .transpose()?;
         let drawn_sequence = result.chosen.first().and_then(|chosen| chosen.drawn_on.first());
         let drawn_on = match (self.drawn_on.each_mut().map(Option::take), drawn_sequence) {
             ([Some((at, left)), Some((_, right))], Some(sequence)) => {
                 let at = MonotonicTime::from_nanos(at.as_nanos().saturating_sub(self.begin.since_1970_nanos));
-                Some(pair([&left, &right], size, (*sequence, at, 0))?)
+                Some(pair([&left, &right], how, (*sequence, at, 0))?)
             }
             _ => None,
         };
@@ -204,11 +214,11 @@ fn take_at(waiting: &mut VecDeque<(MonotonicTime, RawMessage)>, at_nanos: u64) -
 
 fn pair(
     images: [&RawMessage; 2],
-    size: ImageSize,
+    DecodeOptions { size, range }: DecodeOptions,
     (sequence, exposed_at, skew_nanos): (u64, MonotonicTime, i64),
 ) -> Result<Arc<FramePair>> {
     let [left, right]: [Result<(MonotonicTime, RgbImage), BagError>; 2] =
-        images.map(|message| recorded_image(message, size));
+        images.map(|message| recorded_image(message, size, range));
     let (left, right) = (left?.1, right?.1);
     Ok(Arc::new(FramePair { sequence, exposed_at, skew_nanos, left, right, delivered: Default::default() }))
 }

@@ -1,12 +1,12 @@
-//! The table `[camera]` with `backend = "v4l2"`: two cameras of this computer, in the types of [`pb3dp_camera_settings`].
+//! The table `[camera]` with `backend = "v4l2"`: two cameras of this computer, or one with both views, in the types of [`pb3dp_camera_settings`].
 
 use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use pb3dp_camera_settings::{
-    CameraConfig, CameraName, ControlSettings, Interval, ModeRequest, PixelFormat, SKEW_MAX, Setting, StampModel,
-    StereoConfig,
+    CameraConfig, CameraName, ControlSettings, Crop, DeviceLayout, ImageLayout, Interval, ModeRequest, PixelFormat,
+    SKEW_MAX, Setting, StampModel, StereoConfig, ValueRange,
 };
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_geometry::ImageSize;
@@ -28,7 +28,7 @@ pub(super) const OWNER: &str = "(with camera.backend = \"v4l2\")";
 /// Upper bound of the exposure time and of the timestamp delay, milliseconds.
 const TIME_MAX_MILLIS: f64 = 1000.0;
 
-/// Two cameras of this computer: all settings that `pb3dp run` and `pb3dp cameras` need to open them.
+/// Cameras of this computer: all settings that `pb3dp run` and `pb3dp cameras` need to open them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RealCameras {
     /// Devices, modes, controls and the limit of the exposure skew.
@@ -56,7 +56,17 @@ pub enum Synchronisation {
 impl RealCameras {
     /// Size of the images.
     pub fn size(&self) -> ImageSize {
-        self.stereo.left.mode.size
+        self.stereo.size()
+    }
+
+    /// Names of the devices, for reports.
+    pub fn names(&self) -> String {
+        let StereoConfig { layout, left, right, .. } = &self.stereo;
+        if layout.is_one_device() {
+            format!("{} ({layout})", left.name)
+        } else {
+            format!("{} and {}", left.name, right.name)
+        }
     }
 
     /// Requested time between images.
@@ -152,7 +162,10 @@ pub(super) struct V4l2Section {
     waived_gates: Option<Vec<String>>,
     calibration_age_max_days: Option<f64>,
     region: Option<String>,
+    #[serde(default)]
+    layout: LayoutName,
     format: String,
+    value_range: Option<[i64; 2]>,
     width_px: i64,
     height_px: i64,
     frame_rate_hz: f64,
@@ -168,7 +181,8 @@ pub(super) struct V4l2Section {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct SideSection {
-    device: String,
+    device: Option<String>,
+    crop_px: Option<[i64; 4]>,
     input: Option<i64>,
     standard: Option<i64>,
     exposure_millis: ControlValue<f64>,
@@ -180,6 +194,28 @@ struct SideSection {
     further_controls: Vec<ControlEntry>,
     readout_millis: f64,
     stamp_delay_millis: f64,
+}
+
+/// The devices that deliver both views.
+#[derive(Clone, Copy, Debug, Default, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum LayoutName {
+    #[default]
+    TwoDevices,
+    SideBySide,
+    TopBottom,
+    Interleaved,
+}
+
+impl From<LayoutName> for DeviceLayout {
+    fn from(name: LayoutName) -> Self {
+        match name {
+            LayoutName::TwoDevices => Self::TwoDevices,
+            LayoutName::SideBySide => Self::OneImage(ImageLayout::SideBySide),
+            LayoutName::TopBottom => Self::OneImage(ImageLayout::TopBottom),
+            LayoutName::Interleaved => Self::Interleaved,
+        }
+    }
 }
 
 /// A number, "keep" or "auto".
@@ -232,30 +268,43 @@ impl V4l2Section {
             );
         }
         let format = self.format(check);
-        let size = ImageSize { width: whole(self.width_px), height: whole(self.height_px) };
-        let region = self.region(size, check);
+        let layout = DeviceLayout::from(self.layout);
+        format.inspect(|format| self.check_layout(layout, *format, check));
+        let view = self.view();
+        let crops = self.crops(format, check);
+        let range = format.and_then(|format| self.value_range(format, check));
+        let region = self.region(crops.map_or(view, |[left, _]| left.map_or(view, |crop| crop.size)), check);
         let interval = interval(rate_hz);
         let mode = |format, side: &SideSection| ModeRequest {
             format,
-            size,
+            size: view,
             interval,
             input: side.input.map(whole),
             standard: side.standard.map(whole),
             takes_interlaced: self.interlaced,
         };
-        let names = [("camera.left", &self.left), ("camera.right", &self.right)]
-            .map(|(key, side)| side.check(key, 1e3 / rate_hz, check));
-        let [Some(left), Some(right)] = names else { return None };
-        if left == right {
+        let left = self.left.check("camera.left", 1e3 / rate_hz, check);
+        let right = if layout.is_one_device() {
+            self.right.check_unused(left.as_ref(), check);
+            left.clone()
+        } else {
+            self.right.check("camera.right", 1e3 / rate_hz, check)
+        };
+        let (left, right) = (left?, right?);
+        if left == right && !layout.is_one_device() {
             check.refuse(format!(
-                "camera.right.device = \"{right}\": camera.left.device is the same; each side has a camera of its own"
+                "camera.right.device = \"{right}\": camera.left.device is the same; each side has a camera of its own, unless \
+                 camera.layout says how one device has both views"
             ));
         }
-        let format = format?;
+        let (format, [left_crop, right_crop]) = (format?, crops?);
+        let of_right = if layout.is_one_device() { &self.left } else { &self.right };
         Some(RealCameras {
             stereo: StereoConfig {
-                left: self.left.build(left, mode(format, &self.left)),
-                right: self.right.build(right, mode(format, &self.right)),
+                layout,
+                range: range?,
+                left: CameraConfig { crop: left_crop, ..self.left.build(left, mode(format, &self.left)) },
+                right: CameraConfig { crop: right_crop, ..of_right.build(right, mode(format, of_right)) },
                 skew_max: millis(skew_max_millis),
                 speed_max_m_per_s,
             },
@@ -264,6 +313,66 @@ impl V4l2Section {
             calibration_files: self.calibration.clone(),
             region: region?,
         })
+    }
+
+    /// Size of a view before it is cropped.
+    fn view(&self) -> ImageSize {
+        ImageSize { width: whole(self.width_px), height: whole(self.height_px) }
+    }
+
+    /// Checks that images of this format have the layout.
+    fn check_layout(&self, layout: DeviceLayout, format: PixelFormat, check: &mut Checker) {
+        if let Err(error) = layout.check(format, self.view()) {
+            check.refuse(format!("camera.layout: {error}"));
+        }
+    }
+
+    /// The parts of both views that are used; `None` if one is refused, or if their sizes differ.
+    fn crops(&self, format: Option<PixelFormat>, check: &mut Checker) -> Option<[Option<Crop>; 2]> {
+        let mut is_refused = false;
+        let mut crop = |key: &str, side: &SideSection| {
+            let stated = side.crop_px?;
+            for (name, value) in ["left", "top", "width", "height"].into_iter().zip(stated) {
+                check.count(&format!("{key}.crop_px ({name})"), value, 0..=4096);
+            }
+            let [left, top, width, height] = stated.map(whole);
+            let crop = Crop { left, top, size: ImageSize { width, height } };
+            if let Some(Err(error)) = format.map(|format| crop.check(self.view(), format)) {
+                check.refuse(format!("{key}.crop_px: {error}"));
+                is_refused = true;
+            }
+            Some(crop)
+        };
+        let crops = [crop("camera.left", &self.left), crop("camera.right", &self.right)];
+        let [left, right] = crops.map(|crop| crop.map_or(self.view(), |crop| crop.size));
+        if left != right && !is_refused {
+            check.refuse(format!(
+                "camera.right.crop_px: the right image would have {}x{} pixels, the left one {}x{}; crop both to the same width and height",
+                right.width, right.height, left.width, left.height
+            ));
+            is_refused = true;
+        }
+        (!is_refused).then_some(crops)
+    }
+
+    /// The values that become black and white; `None` if they are refused.
+    fn value_range(&self, format: PixelFormat, check: &mut Checker) -> Option<Option<ValueRange>> {
+        let Some(stated) = self.value_range else { return Some(None) };
+        if format.full_range().is_none() {
+            check.refuse(format!(
+                "camera.value_range: only formats with more than 8 bits have one (Y10, Y12, Y16), {format} has not; remove it"
+            ));
+            return None;
+        }
+        let [low, high] = stated.map(|value| u16::try_from(value).ok());
+        let range = low.zip(high).and_then(|(low, high)| ValueRange::new(low, high));
+        if range.is_none() {
+            check.refuse(format!(
+                "camera.value_range = {stated:?}: state [LOW, HIGH] with 0 <= LOW < HIGH <= 65535, such as [0, 4095] for 12 bits"
+            ));
+            return None;
+        }
+        Some(range)
     }
 
     /// The calibration with the waivers of this table.
@@ -340,8 +449,39 @@ impl SideSection {
         }
         check.number(&format!("{key}.readout_millis"), self.readout_millis, 0.0..=TIME_MAX_MILLIS);
         check.number(&format!("{key}.stamp_delay_millis"), self.stamp_delay_millis, 0.0..=TIME_MAX_MILLIS);
-        let name: Result<CameraName, _> = self.device.parse();
+        let Some(device) = &self.device else {
+            check.refuse(format!("{key}.device: missing; the setup must state it"));
+            return None;
+        };
+        let name: Result<CameraName, _> = device.parse();
         name.inspect_err(|error| check.refuse(format!("{key}.device: {error}"))).ok()
+    }
+
+    /// Checks the right side of one device with both views: it has the settings of the left side, and states none of its own.
+    fn check_unused(&self, device: Option<&CameraName>, check: &mut Checker) {
+        let is_kept = |setting: Setting<()>| setting == Setting::Keep;
+        let is_other_device = match (&self.device, device) {
+            (Some(stated), Some(device)) => stated.parse::<CameraName>().as_ref() != Ok(device),
+            _ => false,
+        };
+        let stated = [
+            ("device", is_other_device),
+            ("input", self.input.is_some()),
+            ("standard", self.standard.is_some()),
+            ("exposure_millis", !is_kept(self.exposure_millis.setting(drop))),
+            ("stated_exposure_millis", self.stated_exposure_millis.is_some()),
+            ("gain", !is_kept(self.gain.setting(drop))),
+            ("white_balance_kelvin", !is_kept(self.white_balance_kelvin.setting(drop))),
+            ("focus", !is_kept(self.focus.setting(drop))),
+            ("further_controls", !self.further_controls.is_empty()),
+            ("readout_millis", self.readout_millis != 0.0),
+            ("stamp_delay_millis", self.stamp_delay_millis != 0.0),
+        ];
+        for (name, _) in stated.into_iter().filter(|(_, is_stated)| *is_stated) {
+            check.refuse(format!(
+                "camera.right.{name}: with this camera.layout one device has both views, and [camera.left] has its settings; remove this key"
+            ));
+        }
     }
 
     fn build(&self, name: CameraName, mode: ModeRequest) -> CameraConfig {
@@ -357,6 +497,7 @@ impl SideSection {
             },
             exposure: self.stated_exposure_millis.map(millis),
             stamps: StampModel { readout: millis(self.readout_millis), delay: millis(self.stamp_delay_millis) },
+            crop: None,
         }
     }
 }

@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 
 use pb3dp_camera_pixels::{Converter, Layout, YuvKernels, YuvMatrix, YuvRange};
 use pb3dp_camera_settings::{
-    CameraConfig, CameraName, ControlSettings, Interval, ModeRequest, PixelFormat, SKEW_MAX, Setting, StampModel,
-    StereoConfig,
+    CameraConfig, CameraName, ControlSettings, DeviceLayout, Interval, ModeRequest, PixelFormat, SKEW_MAX, Setting,
+    StampModel, StereoConfig,
 };
 use pb3dp_camera_v4l2::controls;
 use pb3dp_camera_v4l2::linux::Linux;
@@ -108,8 +108,10 @@ fn config(format: PixelFormat, skew_max: Duration) -> Result<StereoConfig, Box<d
         // It has none.
         exposure: Some(Duration::ZERO),
         stamps: StampModel::default(),
+        crop: None,
     };
-    Ok(StereoConfig { left: camera(0), right: camera(1), skew_max, speed_max_m_per_s: 0.1 })
+    let layout = DeviceLayout::TwoDevices;
+    Ok(StereoConfig { layout, range: None, left: camera(0), right: camera(1), skew_max, speed_max_m_per_s: 0.1 })
 }
 
 fn open_with(config: &StereoConfig) -> Result<V4l2StereoCamera, CameraError> {

@@ -89,6 +89,8 @@ pub struct EmulatedCamera {
     pub formats: Vec<([u8; 4], Vec<EmulatedSize>)>,
     /// Padding bytes after each row.
     pub padding: u32,
+    /// Rows of padding after the image.
+    pub padding_rows: u32,
     /// Field order of an image.
     pub field: FieldOrder,
     /// Controls with their values.
@@ -143,6 +145,7 @@ impl EmulatedCamera {
             },
             formats: vec![(*b"YUYV", sizes(&[(640, 480), (64, 48)])), (*b"GREY", sizes(&[(64, 48)]))],
             padding: 0,
+            padding_rows: 0,
             field: FieldOrder::Progressive,
             controls: vec![
                 control(id::AUTO_WHITE_BALANCE, "White Balance, Automatic", ControlKind::Boolean, 0, 1, 1),

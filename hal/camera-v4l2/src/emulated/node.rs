@@ -133,7 +133,9 @@ fn nearest_format(camera: &EmulatedCamera, asked: &RawFormat) -> Option<RawForma
     let distance = |size: &ImageSize| size.width.abs_diff(asked.size.0) + size.height.abs_diff(asked.size.1);
     let size = sizes_of(camera, fourcc).iter().map(|(size, _)| *size).min_by_key(distance)?;
     let (width, height) = camera.faults.other_size.unwrap_or((size.width, size.height));
-    let row = PixelFormat::of_fourcc(fourcc).and_then(|format| format.row_bytes(width)).unwrap_or(0) as u32;
+    let format = PixelFormat::of_fourcc(fourcc);
+    let row = format.and_then(|format| format.row_bytes(width)).unwrap_or(0) as u32;
+    let rows = format.map_or(height as usize, |format| format.memory_rows(height)) as u32;
     // A pitfall of real drivers: a requested stride is kept, although it belongs to another size.
     let stride = asked.stride.max(row + camera.padding);
     Some(RawFormat {
@@ -141,7 +143,7 @@ fn nearest_format(camera: &EmulatedCamera, asked: &RawFormat) -> Option<RawForma
         size: (width, height),
         field: camera.field,
         stride,
-        image_bytes: stride * height,
+        image_bytes: stride * (rows + camera.padding_rows),
         ..*asked
     })
 }

@@ -7,8 +7,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use pb3dp_camera_settings::{
-    CameraConfig, CameraName, ControlSettings, Interval, ModeRequest, PixelFormat, SKEW_MAX, Setting, StampModel,
-    StereoConfig,
+    CameraConfig, CameraName, ControlSettings, DeviceLayout, Interval, ModeRequest, PixelFormat, SKEW_MAX, Setting,
+    StampModel, StereoConfig,
 };
 use pb3dp_camera_v4l2::V4l2StereoCamera;
 use pb3dp_camera_v4l2::emulated::{EmulatedCamera, EmulatedSystem, Faults};
@@ -38,12 +38,22 @@ pub fn camera_config(serial: &str) -> CameraConfig {
         controls: ControlSettings { exposure: Setting::Manual(millis(4)), ..ControlSettings::default() },
         exposure: None,
         stamps: StampModel::default(),
+        crop: None,
     }
 }
 
 pub fn config() -> StereoConfig {
     let (left, right) = (camera_config("SN0000"), camera_config("SN0001"));
-    StereoConfig { left, right, skew_max: SKEW_MAX, speed_max_m_per_s: 0.1 }
+    let layout = DeviceLayout::TwoDevices;
+    StereoConfig { layout, range: None, left, right, skew_max: SKEW_MAX, speed_max_m_per_s: 0.1 }
+}
+
+/// One device with both views of 64x48 pixels.
+pub fn config_of_one(layout: DeviceLayout, format: PixelFormat) -> StereoConfig {
+    let mut config = config();
+    config.layout = layout;
+    config.left.mode.format = format;
+    config
 }
 
 /// A rig in virtual time; the right camera runs 2 ms after the left one.

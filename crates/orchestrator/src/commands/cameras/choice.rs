@@ -5,8 +5,10 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use pb3dp_camera_settings::{
-    CameraConfig, CameraName, ControlSettings, ModeRequest, PixelFormat, Setting, StampModel, StereoConfig,
+    CameraConfig, CameraName, ControlSettings, Crop, DeviceLayout, ModeRequest, PixelFormat, Setting, StampModel,
+    StereoConfig, ValueRange,
 };
 use pb3dp_cell::calibration_facts::CalibrationFacts;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
@@ -22,7 +24,24 @@ use crate::commands::rig::numbers::{millis, number, size};
 const SPEED_M_PER_S: f64 = 0.1;
 
 /// Origin of the settings: the setup.
-const OF_NO_SETUP: [&str; 8] = ["left", "right", "calib", "format", "size", "rate", "exposure", "skew_max"];
+const OF_NO_SETUP: [&str; 13] = [
+    "left",
+    "right",
+    "both",
+    "views",
+    "crop_left",
+    "crop_right",
+    "values",
+    "calib",
+    "format",
+    "size",
+    "rate",
+    "exposure",
+    "skew_max",
+];
+
+/// The group of the options that name cameras.
+const NAMED: &str = "named_cameras";
 
 /// The cameras of a command.
 #[derive(Debug, Args)]
@@ -35,28 +54,43 @@ pub(in crate::commands) struct CameraChoice {
     #[arg(long, value_name = "KEY=VALUE", requires = "config")]
     set: Vec<String>,
     /// The left camera: bus:PLACE, serial:NUMBER (as `pb3dp cameras list` shows them) or /dev/videoN.
-    #[arg(long, value_name = "NAME", requires = "right")]
+    #[arg(long, value_name = "NAME", requires = "right", group = NAMED)]
     left: Option<CameraName>,
     /// The right camera, in the same form.
-    #[arg(long, value_name = "NAME", requires = "left")]
+    #[arg(long, value_name = "NAME", requires = NAMED)]
     right: Option<CameraName>,
+    /// One device whose images have both views, in the same form.
+    #[arg(long, value_name = "NAME", requires = "views", conflicts_with_all = ["left", "right"], group = NAMED)]
+    both: Option<CameraName>,
+    /// Arrangement of both views in the images of --both.
+    #[arg(long, value_name = "LAYOUT", value_parser = one_device(), requires = "both")]
+    views: Option<DeviceLayout>,
+    /// The part of the left view that is used, px: left, top, width, height; default: all of it.
+    #[arg(long, value_name = "L,T,W,H", requires = NAMED)]
+    crop_left: Option<Crop>,
+    /// The part of the right view that is used, px; as wide and high as that of the left view.
+    #[arg(long, value_name = "L,T,W,H", requires = NAMED)]
+    crop_right: Option<Crop>,
+    /// Values that become black and white in Y10, Y12 and Y16, such as 0,4095; default: all values of the format.
+    #[arg(long, value_name = "LOW,HIGH", requires = NAMED)]
+    values: Option<ValueRange>,
     /// Calibration of both cameras, in any format that `pb3dp estimate` reads.
     #[arg(long, value_name = "FILE[,FILE]", value_delimiter = ',')]
     pub(in crate::commands) calib: Vec<PathBuf>,
-    /// Pixel format: YUYV, MJPG, GREY, RGB3, BGR3, RGGB, GRBG, GBRG or BA81.
-    #[arg(long, value_name = "FOURCC", default_value = "YUYV", requires = "left")]
+    /// Pixel format: YUYV, NV12, MJPG, GREY, Y10, Y12, Y16, Y8I, RGB3, BGR3, RGGB, GRBG, GBRG or BA81.
+    #[arg(long, value_name = "FOURCC", default_value = "YUYV", requires = NAMED)]
     format: PixelFormat,
-    /// Image size; default: that of the calibration, or 640x480.
-    #[arg(long, value_name = "WxH", value_parser = size, requires = "left")]
+    /// Size of one view; default: that of the calibration, or 640x480.
+    #[arg(long, value_name = "WxH", value_parser = size, requires = NAMED)]
     size: Option<ImageSize>,
     /// Images per second.
-    #[arg(long, value_name = "HZ", value_parser = number("images per second", 0.1..=1000.0), default_value = "30", requires = "left", allow_negative_numbers = true)]
+    #[arg(long, value_name = "HZ", value_parser = number("images per second", 0.1..=1000.0), default_value = "30", requires = NAMED, allow_negative_numbers = true)]
     rate: f64,
     /// Exposure time, ms; default: unchanged.
-    #[arg(long, value_name = "MS", value_parser = millis(0.05..=1000.0), requires = "left", allow_negative_numbers = true)]
+    #[arg(long, value_name = "MS", value_parser = millis(0.05..=1000.0), requires = NAMED, allow_negative_numbers = true)]
     exposure: Option<f64>,
     /// Largest time between the two exposures of a pair, ms; other pairs are refused.
-    #[arg(long, value_name = "MS", value_parser = millis(0.01..=1000.0), default_value = "5", requires = "left", allow_negative_numbers = true)]
+    #[arg(long, value_name = "MS", value_parser = millis(0.01..=1000.0), default_value = "5", requires = NAMED, allow_negative_numbers = true)]
     skew_max: f64,
 }
 
@@ -111,12 +145,7 @@ impl CameraChoice {
 
     /// The cameras of the command line.
     fn typed(&self) -> Result<Chosen> {
-        let (Some(left), Some(right)) = (&self.left, &self.right) else {
-            bail!(
-                "no cameras are named: give --config FILE (as configs/rig.toml), or --left NAME --right NAME; `pb3dp cameras list` shows the \
-                 names"
-            );
-        };
+        let (layout, left, right) = self.devices()?;
         let loaded = match self.calib.as_slice() {
             [] => None,
             files => Some(load_stereo(files).context("--calib")?),
@@ -124,8 +153,8 @@ impl CameraChoice {
         let rig = loaded.as_ref().map(|loaded| loaded.rig);
         let calibrated = rig.as_ref().map(|rig| rig.left().size());
         let size = self.size.or(calibrated).unwrap_or(ImageSize { width: 640, height: 480 });
-        if let Some(rig) = &rig {
-            check_size(rig, size).context("--size")?;
+        if self.values.is_some() && self.format.full_range().is_none() {
+            bail!("--values: only Y10, Y12 and Y16 have more than 8 bits, {} has not; leave it out", self.format);
         }
         let mode = ModeRequest {
             format: self.format,
@@ -136,21 +165,48 @@ impl CameraChoice {
             takes_interlaced: false,
         };
         let exposure = self.exposure.map_or(Setting::Keep, |ms| Setting::Manual(Duration::from_secs_f64(ms * 1e-3)));
-        let camera = |name: &CameraName| CameraConfig {
+        let camera = |name: &CameraName, crop: Option<Crop>| CameraConfig {
             name: name.clone(),
             mode,
             controls: ControlSettings { exposure, ..ControlSettings::default() },
             exposure: None,
             stamps: StampModel::default(),
+            crop,
         };
         let config = StereoConfig {
-            left: camera(left),
-            right: camera(right),
+            layout,
+            range: self.values,
+            left: camera(left, self.crop_left),
+            right: camera(right, self.crop_right),
             skew_max: Duration::from_secs_f64(self.skew_max * 1e-3),
             speed_max_m_per_s: SPEED_M_PER_S,
         };
+        if let Some(rig) = &rig {
+            check_size(rig, config.size()).context("--size")?;
+        }
         Ok(Chosen { config, rig, calibration: loaded.as_ref().map(facts), target: ChosenTarget::default() })
     }
+
+    /// The layout, and the device of the left and of the right view.
+    ///
+    /// # Errors
+    /// If no cameras are named.
+    fn devices(&self) -> Result<(DeviceLayout, &CameraName, &CameraName)> {
+        match (&self.left, &self.right, &self.both, self.views) {
+            (.., Some(both), Some(layout)) => Ok((layout, both, both)),
+            (Some(left), Some(right), ..) => Ok((DeviceLayout::TwoDevices, left, right)),
+            _ => bail!(
+                "no cameras are named: give --config FILE (as configs/rig.toml), --left NAME --right NAME, or --both NAME --views LAYOUT for one \
+                 device with both views; `pb3dp cameras list` shows the names"
+            ),
+        }
+    }
+}
+
+/// Layouts of one device.
+fn one_device() -> impl TypedValueParser<Value = DeviceLayout> {
+    let layouts = DeviceLayout::ALL.into_iter().filter(|layout| layout.is_one_device());
+    PossibleValuesParser::new(layouts.map(DeviceLayout::name)).try_map(|name| name.parse::<DeviceLayout>())
 }
 
 /// The cameras of a setup.

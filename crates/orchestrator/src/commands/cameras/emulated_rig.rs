@@ -1,4 +1,4 @@
-//! Two emulated cameras that show a real pair of `tests/data`, for tests.
+//! Emulated cameras that show a real pair of `tests/data`, for tests.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
@@ -66,13 +66,43 @@ pub(super) fn system(change: impl Fn(usize, &mut EmulatedCamera)) -> (Arc<Emulat
     (Arc::new(EmulatedSystem::new(clock.clone(), cameras.collect())), clock)
 }
 
+/// Both images side by side, with the number as [`paint`] has it.
+fn paint_both(number: u64, memory: &mut [u8]) {
+    let sides = images().each_ref().map(|image| image.chunks_exact(3 * 640));
+    let [left, right] = sides;
+    for (row, (left, right)) in memory.chunks_exact_mut(2 * 3 * 640).zip(left.zip(right)) {
+        row[..3 * 640].copy_from_slice(left);
+        row[3 * 640..].copy_from_slice(right);
+    }
+    memory[..8].copy_from_slice(&number.to_le_bytes());
+}
+
+/// As [`system`], with one device that has both views side by side.
+pub(super) fn system_of_one(change: impl Fn(&mut EmulatedCamera)) -> (Arc<EmulatedSystem>, Arc<dyn Clock>) {
+    system(|side, camera| {
+        camera.formats[0].1[0].0 = ImageSize { width: 1280, height: 480 };
+        camera.paint = paint_both;
+        camera.faults.is_unplugged = side == 1;
+        change(camera);
+    })
+}
+
 /// Command-line arguments with the names and the exposure of these cameras.
 pub(in crate::commands) fn typed<A: clap::Args>(more: &[&str]) -> A {
+    typed_with(&["--left", "serial:SN0000", "--right", "serial:SN0001"], more)
+}
+
+/// As [`typed`], for one device with both views in this layout.
+pub(super) fn typed_of_one<A: clap::Args>(layout: &str, more: &[&str]) -> A {
+    typed_with(&["--both", "serial:SN0000", "--views", layout], more)
+}
+
+fn typed_with<A: clap::Args>(names: &[&str], more: &[&str]) -> A {
     #[derive(Parser)]
     struct Line<A: clap::Args> {
         #[command(flatten)]
         args: A,
     }
-    let words = ["pb3dp", "--left", "serial:SN0000", "--right", "serial:SN0001", "--exposure", "4"];
-    Line::<A>::parse_from(words.iter().chain(more)).args
+    let words = [&["pb3dp", "--exposure", "4"], names, more].concat();
+    Line::<A>::parse_from(words).args
 }

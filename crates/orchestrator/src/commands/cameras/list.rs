@@ -8,6 +8,7 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use pb3dp_camera_settings::PixelFormat;
 use pb3dp_camera_v4l2::controls::controls;
+use pb3dp_camera_v4l2::known_models::{KnownModel, Proposal, recognise};
 use pb3dp_camera_v4l2::modes::{OfferedFormat, offered};
 use pb3dp_camera_v4l2::names::{self, CaptureDevice};
 use pb3dp_camera_v4l2::video::{IntervalEntry, SizeEntry, VideoSystem};
@@ -26,6 +27,8 @@ Lines of --json (one per device):
   names     names that stay its own, the best one first: for --left and --right, and for configurations
   serial    serial number, or null
   bus       where it is plugged in, or null
+  model     of a known device: name, note, and proposal (layout, format, views_px: sizes of a view; null if it has no images with both
+            views); else null
   formats   fourcc, is_taken (whether pb3dp can use it), sizes: width_px, height_px and rates_hz (a list), or rates_from_to_hz; or
             from_px, to_px, step_px of a range of sizes
   controls  id, name, kind, min, max, step, default, value (or null), unit (name, and factor: the size of the value 1; or null), mode
@@ -74,9 +77,24 @@ struct Device {
     names: Vec<String>,
     serial: Option<String>,
     bus: Option<String>,
+    model: Option<Model>,
     formats: Vec<Format>,
     controls: Vec<CameraControl>,
     problem: Option<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct Model {
+    name: &'static str,
+    note: &'static str,
+    proposal: Option<ProposedMode>,
+}
+
+#[derive(Debug, Serialize)]
+struct ProposedMode {
+    layout: &'static str,
+    format: String,
+    views_px: Vec<[u32; 2]>,
 }
 
 #[derive(Debug, Serialize)]
@@ -126,9 +144,12 @@ fn asked(system: &dyn VideoSystem, found: &CaptureDevice) -> Device {
     let answers =
         system.open(&found.entry.path).and_then(|node| Ok((offered(node.as_ref())?, controls(node.as_ref())?)));
     match answers {
-        Ok((formats, controls)) => {
-            Device { formats: formats.iter().map(Format::of).collect(), controls: described(&controls), ..known }
-        }
+        Ok((formats, controls)) => Device {
+            model: recognise(&found.capability.card, &formats).map(Model::of),
+            formats: formats.iter().map(Format::of).collect(),
+            controls: described(&controls),
+            ..known
+        },
         Err(error) => {
             let problem =
                 format!("{device}: asking what it can do failed: {error}; look at its plug and cable, and try again");
@@ -146,6 +167,7 @@ impl Device {
             names: Vec::new(),
             serial: None,
             bus: None,
+            model: None,
             formats: Vec::new(),
             controls: Vec::new(),
             problem: None,
@@ -168,6 +190,9 @@ impl Device {
         if self.names.is_empty() && self.problem.is_none() {
             text.push_str("\n  name     none that stays: only its file names it");
         }
+        if let Some(model) = &self.model {
+            let _ = write!(text, "\n  {}", model.text());
+        }
         for format in &self.formats {
             let _ = write!(text, "\n  format   {}", format.text());
         }
@@ -184,11 +209,35 @@ impl Device {
     }
 }
 
+impl Model {
+    fn of(KnownModel { name, note, proposal }: KnownModel) -> Self {
+        let proposal = proposal.map(|Proposal { layout, format, views }| ProposedMode {
+            layout: layout.name(),
+            format: format.to_string(),
+            views_px: views.iter().map(|view| [view.width, view.height]).collect(),
+        });
+        Self { name, note, proposal }
+    }
+
+    fn text(&self) -> String {
+        let mut text = format!("model    {}: {} (not confirmed with a real device)", self.name, self.note);
+        if let Some(ProposedMode { layout, format, views_px }) = &self.proposal {
+            let views: Vec<String> = views_px.iter().map(|[width, height]| format!("{width}x{height}")).collect();
+            let _ = write!(
+                text,
+                "\n  propose  layout = \"{layout}\", format = \"{format}\", width_px and height_px of one view: {}",
+                views.join(", ")
+            );
+        }
+        text
+    }
+}
+
 impl Format {
     fn of(offered: &OfferedFormat) -> Self {
         let size = |(size, rates): &(SizeEntry, Vec<IntervalEntry>)| Size::of(size, rates);
         Self {
-            fourcc: String::from_utf8_lossy(&offered.fourcc).into_owned(),
+            fourcc: String::from_utf8_lossy(&offered.fourcc).trim_end().to_owned(),
             is_taken: PixelFormat::of_fourcc(offered.fourcc).is_some(),
             sizes: offered.sizes.iter().map(size).collect(),
         }
@@ -311,6 +360,42 @@ mod tests {
         let exposure = json["controls"].as_array().unwrap().iter().find(|line| line["id"] == 0x009A_0902).unwrap();
         assert_eq!((exposure["value"].as_i64(), exposure["max"].as_i64()), (Some(100), Some(5000)));
         assert!(json["problem"].is_null());
+    }
+
+    #[test]
+    fn a_known_model_comes_with_the_layout_to_ask_for() {
+        let size = |width, height| (ImageSize { width, height }, vec![Interval { numerator: 1, denominator: 30 }]);
+        let mut zed = EmulatedCamera::usual(0);
+        zed.capability.card = "ZED 2i: ZED 2i".to_owned();
+        zed.formats = vec![(*b"YUYV", vec![size(2560, 720), size(1344, 376)])];
+        let mut infrared = EmulatedCamera::usual(2);
+        infrared.capability.card = "Intel(R) RealSense(TM) Depth Ca".to_owned();
+        infrared.formats = vec![(*b"GREY", vec![size(640, 480)]), (*b"Y8I ", vec![size(848, 480)])];
+        let mut colour = infrared.clone();
+        colour.entry.path = "/dev/video4".into();
+        colour.formats = vec![(*b"YUYV", vec![size(640, 480)])];
+        let devices = devices(&system(vec![zed, infrared, colour, EmulatedCamera::usual(6)])).unwrap();
+        for (device, parts) in devices.iter().zip([
+            &[
+                "model    Stereolabs ZED: both views side by side",
+                "not confirmed with a real device",
+                "propose  layout = \"side-by-side\", format = \"YUYV\", width_px and height_px of one view: 1280x720, 672x376",
+            ][..],
+            &[
+                "model    Intel RealSense",
+                "propose  layout = \"interleaved\", format = \"Y8I\", width_px and height_px of one view: 848x480",
+                "format   Y8I  848x480 at 30",
+            ],
+            &["model    Intel RealSense: this node has one view"],
+            &["format   YUYV"],
+        ]) {
+            let text = device.text();
+            assert!(parts.iter().all(|part| text.contains(part)), "{text}");
+        }
+        assert!(!devices[2].text().contains("propose") && devices[3].model.is_none());
+        let json = serde_json::to_value(&devices[1]).unwrap();
+        assert_eq!(json["model"]["proposal"]["views_px"], serde_json::json!([[848, 480]]));
+        assert_eq!(json["formats"][1]["fourcc"], "Y8I");
     }
 
     #[test]

@@ -60,8 +60,13 @@ pub(super) fn check(system: &dyn System, needs: &Needs) -> Vec<Finding> {
     }
     let Some(who) = Identity::of(system) else { return Vec::new() };
     let cameras = found(system);
-    if let Cameras::These(names) = &needs.cameras {
-        let mut findings = named(system, &who, &cameras, names);
+    let names = match &needs.cameras {
+        Cameras::These([left, right]) => vec![("left", left), ("right", right)],
+        Cameras::One(both) => vec![("left", both)],
+        Cameras::NotNeeded | Cameras::Perhaps => Vec::new(),
+    };
+    if !names.is_empty() {
+        let mut findings = named(system, &who, &cameras, &names);
         findings.push(calibration(needs));
         return findings;
     }
@@ -74,13 +79,19 @@ pub(super) fn check(system: &dyn System, needs: &Needs) -> Vec<Finding> {
     findings
 }
 
-/// The two cameras of a setup.
-fn named(system: &dyn System, who: &Identity, cameras: &[ConnectedCamera], names: &[CameraName; 2]) -> Vec<Finding> {
+/// The cameras of a setup, each with the name of its table.
+fn named(
+    system: &dyn System,
+    who: &Identity,
+    cameras: &[ConnectedCamera],
+    names: &[(&str, &CameraName)],
+) -> Vec<Finding> {
     const CHECK: &str = "cameras";
     let (mut findings, mut chosen) = (Vec::new(), Vec::new());
-    for (side, name) in ["left", "right"].into_iter().zip(names) {
+    for &(side, name) in names {
+        let camera_of = if names.len() == 1 { "the camera".to_owned() } else { format!("the {side} camera") };
         if is_of_driver(name) {
-            let found = format!("the {side} camera, {name}, cannot be checked here; only its driver knows it");
+            let found = format!("{camera_of}, {name}, cannot be checked here; only its driver knows it");
             findings.push(Finding::warning(CHECK, found, "check that `pb3dp cameras list` shows it"));
             continue;
         }
@@ -101,7 +112,7 @@ fn named(system: &dyn System, who: &Identity, cameras: &[ConnectedCamera], names
                     .collect();
                 let there = if there.is_empty() { "none".to_owned() } else { there.join(", ") };
                 let advice = format!("check cable and hub, or correct camera.{side}.device; connected: {there}");
-                findings.push(Finding::fail(CHECK, format!("the {side} camera, {name}, is not connected"), advice));
+                findings.push(Finding::fail(CHECK, format!("{camera_of}, {name}, is not connected"), advice));
             }
         }
     }

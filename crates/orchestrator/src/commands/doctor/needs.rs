@@ -54,10 +54,15 @@ pub(super) enum Cameras {
     Perhaps,
     /// These, left and right.
     These([CameraName; 2]),
+    /// One device with both views.
+    One(CameraName),
 }
 
 impl Cameras {
     fn of(cameras: &RealCameras) -> Self {
+        if cameras.stereo.layout.is_one_device() {
+            return Self::One(cameras.stereo.left.name.clone());
+        }
         Self::These([&cameras.stereo.left, &cameras.stereo.right].map(|side| side.name.clone()))
     }
 }

@@ -308,6 +308,18 @@ fn the_cameras_of_a_setup_are_looked_for_by_name() {
     only(&fake, &same, "cameras", Verdict::Fail, "left and right are the same camera", "its own camera");
     let other = with(left, "bus:platform:vivid-001");
     only(&fake, &other, "cameras", Verdict::Warning, "bus:platform:vivid-001", "pb3dp cameras list");
+    // One device may have both views.
+    let one = |name: &str| Needs { cameras: Cameras::One(name.parse().unwrap()), ..rig() };
+    assert_eq!(bad(&fake, &one(left)), []);
+    let gone = "bus:usb-0000:00:14.0-3";
+    only(
+        &fake,
+        &one(gone),
+        "cameras",
+        Verdict::Fail,
+        "the camera, bus:usb-0000:00:14.0-3, is not connected",
+        "left.device",
+    );
     let nominal = Needs { nominal_calibration: Some("none: a drawing".to_owned()), ..with(left, "/dev/video2") };
     only(&fake, &nominal, "calibration", Verdict::Warning, "(none: a drawing)", "--nominal-calibration");
     fake.nodes.insert("/dev/video2".to_owned(), Node { mode: 0o660, uid: 0, gid: 0, is_device: true });

@@ -2,7 +2,7 @@
 
 use pb3dp_camera_v4l2::emulated::EmulatedCamera;
 
-use super::super::emulated_rig::{case, system, typed};
+use super::super::emulated_rig::{case, system, system_of_one, typed, typed_of_one};
 use super::*;
 
 fn check(more: &[&str], change: impl Fn(usize, &mut EmulatedCamera)) -> Result<Report> {
@@ -44,6 +44,29 @@ fn good_cameras_pass_every_check() {
     assert!(report.text().ends_with("16 passed, 0 failed, 0 not checked"), "{}", report.text());
     let json = serde_json::to_value(&report).unwrap();
     assert_eq!((&json["findings"][2]["value"], &json["findings"][2]["limit_max"]), (&1.0.into(), &5.0.into()));
+}
+
+#[test]
+fn one_device_with_both_views_passes_every_check() {
+    let calibration = case().calibration.display().to_string();
+    let more = ["--format", "RGB3", "--calib", &calibration, "--pairs", "120"];
+    let checked_as = |layout: &str, more: &[&str]| {
+        let args: CheckArgs = typed_of_one(layout, more);
+        let (system, clock) = system_of_one(|_| {});
+        checked(system, clock, &args)
+    };
+    let report = checked_as("side-by-side", &more).unwrap();
+    assert_eq!((failed(&report), report.passed, report.pairs), (vec![], true, 120), "{}", report.text());
+    let skew = report.findings.iter().find(|finding| finding.check == "skew").unwrap();
+    assert_eq!(skew.value, Some(0.0), "{skew:?}");
+    let error = format!("{:#}", checked_as("interleaved", &more).err().unwrap());
+    assert!(error.contains("the layout interleaved needs the format Y8I, not RGB3"), "{error}");
+    let cropped = ["--crop-left", "0,0,600,480", "--crop-right", "0,0,600,480"];
+    let error = format!("{:#}", checked_as("side-by-side", &[&more[..], &cropped].concat()).err().unwrap());
+    assert!(error.contains("the images have 600x480 pixels, the calibration 640x480"), "{error}");
+    let valued = [&more[..], &["--values", "0,1023"]].concat();
+    let error = format!("{:#}", checked_as("side-by-side", &valued).err().unwrap());
+    assert!(error.contains("--values: only Y10, Y12 and Y16 have more than 8 bits, RGB3 has not"), "{error}");
 }
 
 #[test]

@@ -11,7 +11,7 @@ use pb3dp_camera_v4l2::emulated::EmulatedCamera;
 use pb3dp_record::calibration_files::load_stereo;
 use pb3dp_record::dataset::load_sequence;
 
-use super::super::emulated_rig::{case, images, number_in, system, typed};
+use super::super::emulated_rig::{case, images, number_in, system, system_of_one, typed, typed_of_one};
 use super::*;
 use crate::cli::{Cli, Command};
 
@@ -326,6 +326,52 @@ fn a_file_has_the_bytes_of_the_camera() {
             paint_bytes(number as u64, &mut memory);
             let rows = memory.chunks(step as usize + 24).map(|row| &row[..step as usize]);
             assert!(image.data.0.chunks(step as usize).eq(rows), "{name}");
+        }
+    }
+}
+
+/// Each view of one device is in the file as it was delivered, with the same stamp, and gives the same images again.
+#[test]
+fn a_file_has_both_views_of_one_device() {
+    let place = Place::new();
+    for (fourcc, layout, width, encoding, step) in [
+        (*b"Y12 ", "side-by-side", 1280, "mono16", 1280),
+        (*b"Y8I ", "interleaved", 640, "mono8", 640),
+        (*b"NV12", "side-by-side", 1280, "rgb8", 1920),
+    ] {
+        let change = |camera: &mut EmulatedCamera| {
+            camera.formats[0].0 = fourcc;
+            camera.formats[0].1[0].0.width = width;
+            (camera.padding, camera.paint) = (24, paint_bytes);
+        };
+        let out = place.folder.path().join(format!("{encoding}.mcap"));
+        let format = std::str::from_utf8(&fourcc).unwrap().trim_end();
+        let words = ["--format", format, "--out", &out.display().to_string(), "--pairs", "3"];
+        let args: RecordArgs = typed_of_one(layout, &words);
+        let (of_file, clock) = system_of_one(change);
+        assert_eq!(recorded(of_file, clock, &args, &mut never).unwrap().pairs, 3, "{format}");
+        let (system, clock) = system_of_one(change);
+        let config = args.cameras.chosen().unwrap().config;
+        let mut camera = V4l2StereoCamera::open(system, clock, &config).unwrap();
+        let options = PairOptions { range: config.value_range(), ..PairOptions::default() };
+        let bag = StereoBag::open(&out, options).unwrap();
+        let mut found = 0;
+        for pair in bag.pairs() {
+            let (pair, expected) = (pair.unwrap(), camera.next_pair(Duration::from_secs(1)).unwrap());
+            assert_eq!((pair.skew_nanos, expected.skew_nanos), (0, 0));
+            assert!(expected.left != expected.right, "{format}: the views must differ");
+            assert!(pair.images.unwrap() == [expected.left, expected.right], "{format}");
+            found += 1;
+        }
+        assert_eq!(found, 3);
+        let messages = bag.bag().messages_on(&[ours::LEFT_IMAGE, ours::RIGHT_IMAGE]).unwrap();
+        let images: Vec<Image> = messages.map(|message| decoded(&message.unwrap()).unwrap()).collect();
+        assert_eq!(images.len(), 6);
+        for image in images {
+            assert_eq!(
+                (image.encoding.as_str(), image.step, image.data.0.len()),
+                (encoding, step, 480 * step as usize)
+            );
         }
     }
 }
