@@ -2,7 +2,9 @@
 
 import csv
 import json
+import signal
 import subprocess
+import time
 
 import pytest
 from conftest import PB3DP, pb3dp
@@ -102,6 +104,24 @@ def test_a_run_that_was_killed_is_replayed_up_to_its_end(tmp_path):
     text = pb3dp("replay", file)
     assert text.endswith("equal to the bit\n"), text
     assert compared(text, "decisions")[0] > 50, text
+
+
+def test_a_run_that_ends_with_a_fault_is_replayed_to_the_bit(tmp_path):
+    """The computer stands still: the arms stop, and the run ends with their fault."""
+    file = tmp_path / "stalled.mcap"
+    args = ["run", "--config", "hil", "--stop-after", "20", "--out", tmp_path / "out", "--record", file]
+    process = subprocess.Popen([PB3DP, *map(str, args)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    time.sleep(5)
+    process.send_signal(signal.SIGSTOP)
+    time.sleep(0.4)
+    process.send_signal(signal.SIGCONT)
+    _, told = process.communicate(timeout=60)
+    assert process.returncode == 1 and "PB3DP-ARM-" in told, told
+    text = pb3dp("replay", file)
+    assert text.endswith("equal to the bit\n"), text
+    assert compared(text, "decisions")[0] > 50, text
+    # The newest seconds at the fault are a page, too.
+    pb3dp("report", tmp_path / "out/fault.mcap", "--out", tmp_path / "report")
 
 
 def test_images_that_are_missing_are_named(live, tmp_path):

@@ -1,4 +1,4 @@
-"""Recordings read by Rerun, without a window. Its package is large, so that these tests run on demand: PB3DP_RERUN=1."""
+"""Recordings read by Rerun, without a window. Its package is large: these tests run in ci, otherwise on demand, with PB3DP_RERUN=1."""
 
 import os
 import re

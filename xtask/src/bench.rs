@@ -182,8 +182,8 @@ fn recordings(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
     let mut build = workspace.cargo();
     build.args(["build", "--release", "--locked", "--package", "pb3dp-orchestrator", "--bin", "pb3dp"]);
     run_visibly(&mut build)?;
-    let target = workspace.metadata()?["target_directory"].as_str().context("cargo has no target folder")?.to_owned();
-    let program = ["--program".to_owned(), format!("{target}/release/pb3dp")];
+    let program = workspace.target_folder()?.join("release/pb3dp");
+    let program = ["--program".to_owned(), program.display().to_string()];
     example(workspace, ("pb3dp-benchmarks", "recordings", "recordings.md"), &[&program, options].concat())
 }
 

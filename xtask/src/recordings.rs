@@ -20,7 +20,7 @@ pub struct Args {
     /// Use the release program.
     #[arg(long)]
     release: bool,
-    /// Also let Rerun read a recording; its package takes 450 MB.
+    /// Also let Rerun read a recording, as `cargo xtask ci` does; its package takes 450 MB.
     #[arg(long)]
     rerun: bool,
 }
@@ -35,7 +35,11 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     }
     run_visibly(&mut build)?;
     let profile = if args.release { "release" } else { "debug" };
-    with_program(workspace, &workspace.target_folder()?.join(profile), args)
+    let python = python_environment::environment(workspace, "recordings-python", TESTS)?;
+    if args.rerun {
+        install_rerun(workspace, &python)?;
+    }
+    with_program(workspace, &workspace.target_folder()?.join(profile), &python, args)
 }
 
 /// All tests with the programs in a folder, or after a build.
@@ -43,26 +47,25 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
 /// # Errors
 /// Those of [`run`].
 pub fn check(workspace: &Workspace, programs: Option<&Path>) -> anyhow::Result<()> {
-    match programs {
-        Some(programs) => with_program(workspace, programs, &Args::default()),
-        None => run(workspace, &Args::default()),
-    }
+    let Some(programs) = programs else { return run(workspace, &Args::default()) };
+    let python = python_environment::environment(workspace, "recordings-python", TESTS)?;
+    let rerun = install_rerun(workspace, &python).map_err(|why| println!("NOT CHECKED: {why:#}")).is_ok();
+    with_program(workspace, programs, &python, &Args { rerun, ..Args::default() })
 }
 
-fn with_program(workspace: &Workspace, programs: &Path, args: &Args) -> anyhow::Result<()> {
-    let python: PathBuf = python_environment::environment(workspace, "recordings-python", TESTS)?;
+fn install_rerun(workspace: &Workspace, python: &Path) -> anyhow::Result<()> {
+    let mut install = workspace.command(python);
+    install.args(["-m", "pip", "install", "--quiet", "--requirement", &format!("{TESTS}/requirements-rerun.txt")]);
+    run_visibly(&mut install).map_err(|error| {
+        let why = format!("the package of Rerun cannot be installed: {error:#}; try again with a network");
+        NotPossible::because(why)
+    })
+}
+
+fn with_program(workspace: &Workspace, programs: &Path, python: &Path, args: &Args) -> anyhow::Result<()> {
     let cache = format!("cache_dir={}", workspace.target_folder()?.join("recordings-cache").display());
-    if args.rerun {
-        let mut install = workspace.command(&python);
-        install.args(["-m", "pip", "install", "--quiet", "--requirement", &format!("{TESTS}/requirements-rerun.txt")]);
-        run_visibly(&mut install).map_err(|error| {
-            NotPossible::because(format!(
-                "the package of Rerun cannot be installed: {error:#}; try again with a network"
-            ))
-        })?;
-    }
     let pixels = emulated_pair(workspace, args.release)?;
-    let mut tests = workspace.command(&python);
+    let mut tests = workspace.command(python);
     tests.args(["-m", "pytest", "--quiet", "-o", &cache, TESTS]);
     if let Some(filter) = &args.filter {
         tests.args(["-k", filter]);

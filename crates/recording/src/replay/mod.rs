@@ -444,7 +444,7 @@ impl Replay<'_> {
             self.moving.observe(replayed.map_or_else(|| percept(observed), Ok)?, at);
         }
         let outcome = self.moving.step(at);
-        self.script.end_step()?;
+        self.script.end_step(outcome.is_err() && !step.finished)?;
         self.differences.add(self.script.differences());
         match (outcome, step.finished) {
             (Ok(moved), true) => self.compare(&step, t_s, &moved, true_poses(&step)?),
