@@ -28,29 +28,34 @@ pub struct Args {
 /// # Errors
 /// If a test fails, or the machine lacks a requirement.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
-    let mut build = workspace.cargo();
-    build.args(["build", "--locked", "--package", "pb3dp-orchestrator", "--bin", "pb3dp"]);
-    if args.release {
-        build.arg("--release");
-    }
-    run_visibly(&mut build)?;
-    let profile = if args.release { "release" } else { "debug" };
+    let programs = build(workspace, args.release)?;
     let python = python_environment::environment(workspace, "recordings-python", TESTS)?;
     if args.rerun {
         install_rerun(workspace, &python)?;
     }
-    with_program(workspace, &workspace.target_folder()?.join(profile), &python, args)
+    with_program(workspace, &programs, &python, args)
 }
 
-/// All tests with the programs in a folder, or after a build.
+/// All tests with the programs in a folder, or after a build; those with Rerun if it can be installed.
 ///
 /// # Errors
 /// Those of [`run`].
 pub fn check(workspace: &Workspace, programs: Option<&Path>) -> anyhow::Result<()> {
-    let Some(programs) = programs else { return run(workspace, &Args::default()) };
+    let programs = programs.map_or_else(|| build(workspace, false), |programs| Ok(programs.to_path_buf()))?;
     let python = python_environment::environment(workspace, "recordings-python", TESTS)?;
     let rerun = install_rerun(workspace, &python).map_err(|why| println!("NOT CHECKED: {why:#}")).is_ok();
-    with_program(workspace, programs, &python, &Args { rerun, ..Args::default() })
+    with_program(workspace, &programs, &python, &Args { rerun, ..Args::default() })
+}
+
+/// Builds the program; returns its folder.
+fn build(workspace: &Workspace, is_release: bool) -> anyhow::Result<PathBuf> {
+    let mut build = workspace.cargo();
+    build.args(["build", "--locked", "--package", "pb3dp-orchestrator", "--bin", "pb3dp"]);
+    if is_release {
+        build.arg("--release");
+    }
+    run_visibly(&mut build)?;
+    Ok(workspace.target_folder()?.join(if is_release { "release" } else { "debug" }))
 }
 
 fn install_rerun(workspace: &Workspace, python: &Path) -> anyhow::Result<()> {
