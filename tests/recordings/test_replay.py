@@ -234,17 +234,21 @@ def rows(table):
 def test_the_middle_of_a_run_is_reported_as_it_was_recorded(tmp_path):
     """As the newest seconds at a fault: without the begin of the run."""
     pb3dp("run", "--config", "sim", "--set", "scene.target=card", "--set", "run.pace=fast", "--set", "estimator.compare=[]", "--stop-after", 1.5,
-          "--out", tmp_path / "out", "--record", tmp_path / "long/run.mcap", "--rotate-mb", "20")
+          "--out", tmp_path / "out", "--record", tmp_path / "long/run.mcap", "--rotate-mb", "10")
     continuation = sorted((tmp_path / "long").iterdir())[1]
     text = pb3dp("report", continuation, "--out", tmp_path / "report")
     assert "its control is shown as recorded" in text, text
     for table in ("estimates.csv", "timeseries.csv"):
         whole, part = (rows(tmp_path / folder / table) for folder in ("out", "report"))
         first, last = (float(part[end]["t_s"]) for end in (0, -1))
-        assert 10 < len(part) < len(whole) and first > 0.2, table
+        assert 4 < len(part) < len(whole) and first > 0.1, table
         assert part == [row for row in whole if first <= float(row["t_s"]) <= last], table
     summary = json.loads((tmp_path / "report/summary.json").read_text())["summary"]
-    assert summary["supervisor"]["share_by_state"].keys() <= {"approaching", "tracking"}, summary["supervisor"]
+    whole = json.loads((tmp_path / "out/summary.json").read_text())["summary"]
+    assert summary["supervisor"]["share_by_state"].keys() <= {"selecting", "approaching", "tracking"}, summary["supervisor"]
+    first = float(part[0]["t_s"])
+    changes = [note for note in whole["supervisor"]["transitions"] if first <= note["t_s"] <= float(part[-1]["t_s"])]
+    assert changes and summary["supervisor"]["transitions"] == changes
     # Its control cannot be replayed.
     done = subprocess.run([PB3DP, "replay", continuation], capture_output=True, text=True, check=False)
     assert done.returncode == 1 and "pb3dp report" in done.stderr, done.stderr

@@ -7,6 +7,7 @@ use anyhow::{Context, Result, bail};
 use image::{GrayImage, ImageFormat};
 use nalgebra::{Matrix6, Point3, Vector2};
 use pb3dp_bag::cdr::Bytes;
+use pb3dp_bag::messages::LogLine;
 use pb3dp_bag::run_messages::{self, Marked, Observed, Said};
 use pb3dp_bag::stops::{of_pose, pose};
 use pb3dp_cell::commands::CommandSummary;
@@ -14,6 +15,7 @@ use pb3dp_cell::operator::MotionRequest;
 use pb3dp_cell::percept::Percept;
 use pb3dp_cell::perception::Marking;
 use pb3dp_cell::spectator::RunEnd;
+use pb3dp_cell::supervision::TransitionNote;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::frames::Frame;
@@ -21,7 +23,9 @@ use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::{ArmErrorKind, ArmState};
 use pb3dp_kinematics::{DOF, JointVector};
 use pb3dp_servo::TargetObservation;
-use pb3dp_servo::supervisor::{Confidence, EstimateInput, FrameInput, OperatorCommand, OperatorInput, OperatorRequest};
+use pb3dp_servo::supervisor::{
+    Confidence, EstimateInput, Event, FrameInput, OperatorCommand, OperatorInput, OperatorRequest, State,
+};
 
 /// Names of the arms in messages.
 pub const ARM_NAMES: [&str; 2] = ["vs-robot", "tc-robot"];
@@ -189,6 +193,26 @@ pub fn failure(word: &str) -> Option<ArmErrorKind> {
         "disconnected" => ArmErrorKind::Disconnected,
         "fault" => ArmErrorKind::Fault,
         _ => return None,
+    })
+}
+
+/// A change of state as a line on `/pb3dp/events`.
+pub fn of_change(from: &str, to: &str, event: &str, why: &str) -> String {
+    format!("{from} -> {to} ({event}): {why}")
+}
+
+/// The change of state that a line tells, at this time since the begin of the run; none if it is not of this program.
+pub fn change(line: &LogLine, t_s: f64) -> Option<TransitionNote> {
+    let (from, rest) = line.msg.split_once(" -> ")?;
+    let (to, rest) = rest.split_once(" (")?;
+    let (event, why) = rest.split_once("): ")?;
+    let state = |name: &str| State::ALL.into_iter().map(State::name).find(|known| *known == name);
+    Some(TransitionNote {
+        t_s,
+        from: state(from)?,
+        to: state(to)?,
+        event: Event::ALL.into_iter().map(Event::name).find(|known| *known == event)?,
+        why: why.to_owned(),
     })
 }
 
@@ -402,5 +426,27 @@ mod tests {
         };
         assert_eq!(end(&of_end(&ended)), ended);
         assert_eq!(end(&of_end(&RunEnd::default())), RunEnd::default());
+    }
+
+    #[test]
+    fn a_change_of_state_is_read_back() {
+        let line = |msg: String| LogLine {
+            stamp: pb3dp_bag::messages::Time { sec: 0, nanosec: 0 },
+            level: 20,
+            name: String::new(),
+            msg,
+            file: String::new(),
+            function: String::new(),
+            line: 0,
+        };
+        let why = "stopped: (so) it is): late; use reset";
+        for (from, to, event) in [("tracking", "stopped", "stop-found"), ("idle", "selecting", "select")] {
+            let read = change(&line(of_change(from, to, event, why)), 2.5).unwrap();
+            assert_eq!((read.t_s, read.from, read.to, read.event, &*read.why), (2.5, from, to, event, why));
+        }
+        for (from, to, event) in [("tracking", "asleep", "stop-found"), ("tracking", "stopped", "nap")] {
+            assert_eq!(change(&line(of_change(from, to, event, why)), 2.5), None);
+        }
+        assert_eq!(change(&line("tracking -> stopped".to_owned()), 2.5), None);
     }
 }

@@ -28,7 +28,7 @@ use pb3dp_kinematics::Chain;
 use pb3dp_setup::setup::Setup;
 
 use crate::estimates::pair_result;
-use crate::exact::{of_end, of_marking};
+use crate::exact::{of_change, of_end, of_marking};
 use crate::pairs::{About, BASES, CAMERAS, JOINTS, PairRecording, joint_names, ros_pose};
 use crate::steps::Steps;
 use crate::tap::{Heard, tap};
@@ -182,7 +182,8 @@ impl RunRecording {
         let transforms = vec![self.pairs.transform(at, BASES[0], CAMERAS[0], &base_from_cam_left)];
         self.pairs.push(ours::TF, at, &Transforms { transforms });
         if let Some(transition) = &step.decision.transition {
-            let msg = format!("{} -> {} ({}): {}", transition.from, transition.to, transition.event, step.decision.why);
+            let (from, to, event) = (transition.from.name(), transition.to.name(), transition.event.name());
+            let msg = of_change(from, to, event, &step.decision.why.to_string());
             let (name, file, function) = ("supervisor".to_owned(), String::new(), String::new());
             let line = LogLine { stamp: self.pairs.stamp(at), level: 20, name, msg, file, function, line: 0 };
             self.pairs.push(ours::EVENTS, at, &line);

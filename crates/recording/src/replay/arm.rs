@@ -124,7 +124,7 @@ impl SharedScript {
             for entry in std::mem::take(&mut arm.entries) {
                 match entry {
                     Entry::Changed { state, .. } => arm.tell(&state)?,
-                    Entry::Called(_) if ends_run => {}
+                    Entry::Called(call) if ends_run && call.call != "move" => {}
                     Entry::Called(call) => {
                         let recorded = format!("{name}: {}", call.call);
                         differences.differ(Kind::Commands, *t_s, recorded, format!("{name}: nothing"));

@@ -8,9 +8,9 @@ use pb3dp_cell::log::ArmSample;
 use pb3dp_cell::supervision::TransitionNote;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
-use pb3dp_servo::supervisor::{Event, State};
+use pb3dp_servo::supervisor::State;
 
-use crate::exact::joints;
+use crate::exact::{change, joints};
 
 /// The recorded control.
 #[derive(Debug, Default)]
@@ -56,47 +56,5 @@ impl Past {
             state: state.with_context(|| format!("state: {:?} is no state of the supervisor", step.state))?,
             arms: [arm(vs, requested[0]), arm(tc, requested[1])],
         }))
-    }
-}
-
-/// The change of state that a line tells; none if it is not of this program.
-fn change(line: &LogLine, t_s: f64) -> Option<TransitionNote> {
-    let (from, rest) = line.msg.split_once(" -> ")?;
-    let (to, rest) = rest.split_once(" (")?;
-    let (event, why) = rest.split_once("): ")?;
-    let state = |name: &str| State::ALL.into_iter().map(State::name).find(|known| *known == name);
-    Some(TransitionNote {
-        t_s,
-        from: state(from)?,
-        to: state(to)?,
-        event: Event::ALL.into_iter().map(Event::name).find(|known| *known == event)?,
-        why: why.to_owned(),
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use pb3dp_bag::messages::Time;
-
-    use super::*;
-
-    #[test]
-    fn a_line_of_the_supervisor_is_read_back() {
-        let line = |msg: &str| LogLine {
-            stamp: Time { sec: 0, nanosec: 0 },
-            level: 20,
-            name: String::new(),
-            msg: msg.to_owned(),
-            file: String::new(),
-            function: String::new(),
-            line: 0,
-        };
-        let read =
-            change(&line("tracking -> stopped (stop-found): stopped: (so) it is): late; use reset"), 2.5).unwrap();
-        assert_eq!((read.t_s, read.from, read.to, read.event), (2.5, "tracking", "stopped", "stop-found"));
-        assert_eq!(read.why, "stopped: (so) it is): late; use reset");
-        for other in ["", "tracking -> asleep (stop-found): x", "tracking -> stopped (nap): x", "tracking -> stopped"] {
-            assert_eq!(change(&line(other), 2.5), None, "{other}");
-        }
     }
 }
