@@ -54,7 +54,7 @@ impl Default for ColdStartConfig {
         Self {
             quick_area_px: 6000,
             search_area_px: 12_000,
-            quick_share_min: 0.6,
+            quick_share_min: 0.75,
             patch_area_px: 24_000,
             search: PlaneSearchConfig::default(),
             patches: PatchConfig::default(),
@@ -248,7 +248,8 @@ impl ColdStart {
             let is_partial = support_of(&finest) < self.config.choice.nearby_support_max;
             if is_partial && may_continue() { self.nearby(&refined.plane) } else { None }
         });
-        let continued = if may_continue() { self.continued(&reached) } else { None };
+        let is_mostly_plane = support_of(&finest) >= self.config.choice.continued_support_max;
+        let continued = if !is_mostly_plane && may_continue() { self.continued(&reached) } else { None };
         Some(ColdStartOutcome {
             first,
             second,

@@ -42,7 +42,8 @@ pub const SUPPORTS: u8 = 2;
 
 /// Parameters of the patches.
 ///
-/// The lowest correlation is that of the prototype of ADR 7; the other defaults are chosen by hand, not varied.
+/// The lowest correlation is that of the prototype of ADR 7, the support was chosen with figures (docs/benchmarks/left_out.md); the other
+/// defaults are chosen by hand, not varied.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PatchConfig {
     /// Shift of a patch to either side, columns, 1 to [`REACH_MAX`].
@@ -60,7 +61,7 @@ pub struct PatchConfig {
 
 impl Default for PatchConfig {
     fn default() -> Self {
-        Self { reach: 2, support_px: 0.5, correlation_min: 0.5, texture_min: 2.0, gradient_half: 1.0 }
+        Self { reach: 2, support_px: 0.35, correlation_min: 0.5, texture_min: 2.0, gradient_half: 1.0 }
     }
 }
 

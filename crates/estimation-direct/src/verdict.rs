@@ -12,8 +12,8 @@ use crate::surface_choice::SurfaceChoice;
 /// Limits between the statuses. Chosen by hand on real pairs, some of which are held out (ADR 7).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DirectVerdictConfig {
-    /// Smallest share (0 to 1) of the region's pixels whose patch has texture and agrees with the plane; below:
-    /// `not-observable`. Default 0.15.
+    /// Smallest share (0 to 1) of the region's pixels whose patch has texture and agrees with the plane, or whose own disparity
+    /// does; below: `not-observable`. Default 0.15.
     pub support_min: f64,
     /// Below this share the estimate is at best `ambiguous`, because the region is not planar. 0 to 1. Default 0.4.
     pub support_sure_min: f64,
@@ -158,7 +158,9 @@ fn too_little(
         let reason = format!("{seen}: choose a textured target or add light");
         return Some(Verdict { status: Status::NotObservable, reason });
     }
-    let (status, limit) = match support < limits.support_min {
+    // Patches that mix several surfaces support none of them; single disparities do.
+    let on_plane = support.max(outcome.valid_share * outcome.first.share);
+    let (status, limit) = match on_plane < limits.support_min {
         true => (Status::NotObservable, 100.0 * limits.support_min),
         false => (Status::Ambiguous, 100.0 * sure_min),
     };
