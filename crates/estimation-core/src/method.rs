@@ -2,7 +2,7 @@
 
 use std::fmt::Debug;
 
-use crate::rgb_view::RgbView;
+use crate::image_view::ImageView;
 use nalgebra::{Point3, Vector3};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
@@ -18,9 +18,9 @@ use crate::row_offset::RowMeasurement;
 #[non_exhaustive]
 pub struct EstimateRequest<'a> {
     /// Raw image of the left camera.
-    pub left: RgbView<'a>,
+    pub left: ImageView<'a>,
     /// Raw image of the right camera, exposed at the same time.
-    pub right: RgbView<'a>,
+    pub right: ImageView<'a>,
     /// A new target; `None` keeps the target of the previous request.
     pub target: Option<MarkedTarget<'a>>,
     /// Prior knowledge about a tracked target.
@@ -117,8 +117,8 @@ impl Debug for Deadline<'_> {
 impl<'a> EstimateRequest<'a> {
     /// Request for a new target, without a time limit.
     pub fn of_target(
-        left: impl Into<RgbView<'a>>,
-        right: impl Into<RgbView<'a>>,
+        left: impl Into<ImageView<'a>>,
+        right: impl Into<ImageView<'a>>,
         region: &'a Region,
         range: &'a SearchRange,
     ) -> Self {
@@ -128,7 +128,7 @@ impl<'a> EstimateRequest<'a> {
     }
 
     /// Request for the next frame of the tracked target, without a time limit.
-    pub fn of_next(left: impl Into<RgbView<'a>>, right: impl Into<RgbView<'a>>, prior: &FramePrior) -> Self {
+    pub fn of_next(left: impl Into<ImageView<'a>>, right: impl Into<ImageView<'a>>, prior: &FramePrior) -> Self {
         let (left, right) = (left.into(), right.into());
         Self { left, right, target: None, prior: *prior, deadline: Deadline::default() }
     }
@@ -183,7 +183,11 @@ pub trait EstimationMethod: Debug + Send {
     ///
     /// # Errors
     /// Images that do not match the calibration.
-    fn prepare(&mut self, left: RgbView<'_>, right: RgbView<'_>) -> Result<Option<RowMeasurement>, EstimationError> {
+    fn prepare(
+        &mut self,
+        left: ImageView<'_>,
+        right: ImageView<'_>,
+    ) -> Result<Option<RowMeasurement>, EstimationError> {
         let _ = (left, right);
         Ok(None)
     }

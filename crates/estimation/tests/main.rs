@@ -3,6 +3,8 @@
 
 #[path = "support/abuse.rs"]
 mod abuse;
+#[path = "support/camera_memory.rs"]
+mod camera_memory;
 mod common;
 mod deadline;
 mod direct_estimate;
@@ -13,6 +15,7 @@ mod direct_track;
 mod direct_track_edges;
 mod direct_track_no_allocation;
 mod direct_track_priors;
+mod image_forms;
 #[path = "support/moving_plane.rs"]
 mod moving_plane;
 mod no_allocation;

@@ -6,9 +6,9 @@ use std::sync::{Mutex, PoisonError};
 use anyhow::{Context, Result};
 use pb3dp_estimation::estimator::{Estimator as Inner, Method};
 use pb3dp_estimation::pair_check::check_pair;
+use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::method::EstimateRequest;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
-use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_geometry::{ImageSize, StereoRig as Rig};
 use pb3dp_hal_platform::cpu_time::{timed, within};
 use pb3dp_record::value_range::ValueRange;
@@ -45,7 +45,7 @@ struct State {
 
 impl State {
     /// Checks the first pair, and measures the rig on the first pair that allows it; returns a doubt about the calibration.
-    fn prepare(&mut self, rig: &Rig, left: RgbView<'_>, right: RgbView<'_>) -> Result<Option<String>> {
+    fn prepare(&mut self, rig: &Rig, left: ImageView<'_>, right: ImageView<'_>) -> Result<Option<String>> {
         let mut doubt = None;
         if !self.is_checked {
             doubt = check_pair(rig, left, right).accepted().context(SWAP)?;
