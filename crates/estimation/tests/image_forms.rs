@@ -9,7 +9,7 @@ use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::{StereoRig, ValueRange};
 
-use crate::camera_memory::{Form, Memory};
+use crate::abuse::camera_memory::{Form, Memory};
 use crate::moving_plane::{Shot, general_rig, moving, rectified_rig, region, render};
 
 /// Frames of a sequence, the first of which starts the tracker.

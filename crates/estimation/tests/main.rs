@@ -3,8 +3,6 @@
 
 #[path = "support/abuse.rs"]
 mod abuse;
-#[path = "support/camera_memory.rs"]
-mod camera_memory;
 mod common;
 mod deadline;
 mod direct_estimate;
