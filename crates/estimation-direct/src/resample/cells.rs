@@ -63,7 +63,8 @@ impl CellPositions {
         [0, 1].map(|axis| (round(axis, ends[axis].0), round(axis, ends[axis].1)))
     }
 
-    /// The columns and rows of a source of this size that the cubic kernel reads at all positions.
+    /// The columns and rows of a source of this size that the cubic kernel reads at all positions, and one more: a register of taps holds
+    /// more than four pixels.
     pub fn taps_box(&self, size: [u32; 2]) -> [Range<usize>; 2] {
         [0, 1].map(|axis| {
             // Pixels without a source are negative.
@@ -74,7 +75,7 @@ impl CellPositions {
                 whole.saturating_add(at as i64).clamp(0, i64::from(size[axis])) as usize
             };
             let first = pixel(low, -1);
-            first..pixel(high, 3).max(first)
+            first..pixel(high, 4).max(first)
         })
     }
 
