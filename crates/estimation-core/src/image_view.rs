@@ -179,6 +179,10 @@ impl<'a> RgbRows<'a> {
     /// Row `y` of the part: red, green and blue of its pixels.
     #[inline]
     pub fn row(&self, y: usize) -> &'a [u8] {
+        // Rows without columns are nowhere.
+        if self.length == 0 {
+            return &[];
+        }
         &self.bytes[y * self.stride..][..self.length]
     }
 
@@ -287,6 +291,7 @@ mod tests {
         let mut buffer = Vec::new();
         let rows = part.rgb(1..3, 0..2, &mut buffer);
         assert_eq!((rows.row(1), rows.stride(), rows.bytes().len()), (&[3, 2, 7, 4, 2, 7][..], 21, 27));
+        assert!(part.rgb(1..1, 0..2, &mut buffer).row(1).is_empty());
     }
 
     #[test]

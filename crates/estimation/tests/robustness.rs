@@ -104,12 +104,27 @@ fn every_method_survives_what_fuzzing_found() {
     }
 }
 
-/// Images for which fuzzing found answers that depended on the form.
+/// Images for which fuzzing found failures, or answers that depended on the form.
 #[test]
 fn images_in_any_form_give_the_same_answers_as_fuzzing_found() {
-    // The last two pixels of the last corner were resampled from converted images only.
-    abuse::images_in_any_form_survive(&[
-        0, 0, 0, 0, 0, 0, 216, 0, 0, 0, 11, 0, 6, 0, 31, 0, 0, 11, 15, 0, 0, 0, 3, 0, 29, 5, 72, 112, 93, 131, 149, 14,
-        54, 39,
-    ]);
+    let found: [&[u8]; 2] = [
+        // The last two pixels of the last corner were resampled from converted images only.
+        &[
+            0, 0, 0, 0, 0, 0, 216, 0, 0, 0, 11, 0, 6, 0, 31, 0, 0, 11, 15, 0, 0, 0, 3, 0, 29, 5, 72, 112, 93, 131, 149,
+            14, 54, 39,
+        ],
+        // A window without columns.
+        &[
+            0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 230, 7, 128, 183, 24, 61, 44, 215, 83, 141, 165,
+            56, 6, 216, 67, 248, 128, 135, 117, 171, 3, 182,
+        ],
+    ];
+    found.iter().for_each(|bytes| abuse::images_in_any_form_survive(bytes));
+}
+
+/// Priors with which fuzzing found failures.
+#[test]
+fn every_method_survives_the_priors_that_fuzzing_found() {
+    // A rotation with a norm of 100000: positions of the template left the range of integers.
+    abuse::priors_with_any_numbers_survive(&[133, 5, 65, 0, 0, 0, 2, 0, 0, 0, 65, 0, 0, 0, 184, 224, 133]);
 }
