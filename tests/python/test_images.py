@@ -23,7 +23,10 @@ def test_every_layout_of_memory_gives_the_same_bits(case):
     upside_down = np.ascontiguousarray(left[::-1])
     read_only = left.copy()
     read_only.flags.writeable = False
+    # Memory of another library, with gaps between the rows.
+    camera = np.ndarray((height, width, 3), np.uint8, bytearray(np.pad(left, ((0, 0), (2, 3), (0, 0))).tobytes()), 6, (3 * width + 15, 3, 1))
     for strided in [
+        (camera, right),
         (both[:, :width], both[:, width:]),
         (np.pad(left, ((3, 2), (5, 7), (0, 0)))[3:-2, 5:-7], np.pad(right, ((0, 1), (0, 0), (0, 0)))[:-1]),
         (np.concatenate([left, left], axis=2)[..., :3], np.pad(right, ((0, 0), (0, 0), (1, 0)))[..., 1:]),

@@ -24,11 +24,10 @@ enum GivenValues<'py> {
     Deep(Memory<'py, u16>),
 }
 
-/// Values from the first pixel of an image to the last one.
-enum Memory<'py, T: Element> {
-    /// In the memory of numpy.
-    Shared(PyReadonlyArrayDyn<'py, T>),
-    Copied(Vec<T>),
+/// An array without gaps, and the position of the first pixel of the image in it.
+struct Memory<'py, T: Element> {
+    array: PyReadonlyArrayDyn<'py, T>,
+    first: usize,
 }
 
 #[derive(Clone, Copy)]
@@ -87,25 +86,41 @@ impl<'py> Given<'py> {
     }
 }
 
-/// The memory of an array with its shape: that of numpy if the values of a row are beside each other, otherwise a copy.
-fn memory<'py, T: Element + Copy>(name: &str, array: &Bound<'py, PyArrayDyn<T>>) -> Result<(Shape, Memory<'py, T>)> {
-    let shape = Shape::of(name, array.shape())?;
-    let shared = array.try_readonly().with_context(|| format!("{name} is being written to"))?;
-    if array.is_c_contiguous() {
-        return Ok((shape, Memory::Shared(shared)));
-    }
-    let Some(stride) = row_stride::<T>(array) else {
-        return Ok((shape, Memory::Copied(shared.as_array().iter().copied().collect())));
-    };
-    // One row after the other with the values between them: numpy has no other view of an array that is not contiguous.
+/// The memory of an image with its shape: its own if the values of a row are beside each other, otherwise that of a copy.
+fn memory<'py, T: Element>(name: &str, array: &Bound<'py, PyArrayDyn<T>>) -> Result<(Shape, Memory<'py, T>)> {
     static AS_STRIDED: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
-    let length = (shape.height as usize - 1) * stride + shape.row();
-    let flat = AS_STRIDED
-        .import(array.py(), "numpy.lib.stride_tricks", "as_strided")
-        .and_then(|as_strided| as_strided.call1((array, (length,), (size_of::<T>(),), false, false)))?;
+    static COPY: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
+    let read = |array: &Bound<'py, PyArrayDyn<T>>, first| -> Result<Memory<'py, T>> {
+        let array = array.try_readonly().with_context(|| format!("{name} is being written to"))?;
+        Ok(Memory { array, first })
+    };
+    let shape = Shape::of(name, array.shape())?;
+    if array.is_c_contiguous() {
+        return Ok((shape, read(array, 0)?));
+    }
+    let py = array.py();
+    let (stride, flat) = match row_stride::<T>(array) {
+        Some(stride) => {
+            let strided = Shape { stride, ..shape };
+            if let Some((whole, first)) = owner(array) {
+                return Ok((strided, read(&whole, first)?));
+            }
+            // The memory is of another library: one row after the other with the values between them.
+            let as_strided = AS_STRIDED.import(py, "numpy.lib.stride_tricks", "as_strided")?;
+            (stride, as_strided.call1((array, (strided.length(),), (size_of::<T>(),), false, false))?)
+        }
+        None => (shape.stride, COPY.import(py, "numpy", "ascontiguousarray")?.call1((array,))?),
+    };
     let flat = flat.cast_into::<PyArrayDyn<T>>().ok().with_context(|| wrong_number(name))?;
-    let shared = flat.try_readonly().with_context(|| format!("{name} is being written to"))?;
-    Ok((Shape { stride, ..shape }, Memory::Shared(shared)))
+    Ok((Shape { stride, ..shape }, read(&flat, 0)?))
+}
+
+/// The array without gaps of which this one is a part, and the position of its first value in it.
+fn owner<'py, T: Element>(part: &Bound<'py, PyArrayDyn<T>>) -> Option<(Bound<'py, PyArrayDyn<T>>, usize)> {
+    let whole = part.getattr("base").ok()?.cast_into::<PyArrayDyn<T>>().ok()?;
+    let bytes = part.data().addr().checked_sub(whole.data().addr())?;
+    let is_inside = bytes % size_of::<T>() == 0 && whole.is_c_contiguous();
+    is_inside.then_some((whole, bytes / size_of::<T>()))
 }
 
 /// Values from one row of an image to the next one, if the values of a row are beside each other and rows do not overlap.
@@ -125,10 +140,7 @@ fn row_stride<T>(array: &Bound<'_, PyArrayDyn<T>>) -> Option<usize> {
 
 impl<T: Element> Memory<'_, T> {
     fn values(&self) -> Option<&[T]> {
-        match self {
-            Self::Shared(array) => array.as_slice().ok(),
-            Self::Copied(values) => Some(values),
-        }
+        self.array.as_slice().ok()?.get(self.first..)
     }
 }
 
@@ -156,6 +168,11 @@ impl Shape {
         }
     }
 
+    /// Values from the first pixel to the last one.
+    fn length(&self) -> usize {
+        (self.height as usize - 1) * self.stride + self.row()
+    }
+
     /// Values of a row.
     fn row(&self) -> usize {
         self.width as usize * self.channels
@@ -178,7 +195,8 @@ impl<'a> GivenPixels<'a> {
     fn deep_rows(&self) -> impl Iterator<Item = &'a [u16]> + use<'a> {
         let values = if let Values::Deep(values) = self.values { values } else { &[] };
         let row = self.shape.row();
-        values.chunks(self.shape.stride).map(move |values| &values[..row.min(values.len())])
+        let rows = values.chunks(self.shape.stride).take(self.shape.height as usize);
+        rows.map(move |values| &values[..row.min(values.len())])
     }
 }
 
