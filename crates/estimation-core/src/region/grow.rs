@@ -27,10 +27,13 @@ pub(super) struct SmoothColour {
 
 /// Mean colour of the 3x3 pixels around (x, y), clipped to the image.
 pub(super) fn smooth_colour(image: ImageView<'_>, x: u32, y: u32) -> SmoothColour {
+    let (first, end) = (x.saturating_sub(1), (x + 2).min(image.width()));
     let (mut sum, mut count) = ([0_u32; 3], 0_u32);
     for v in y.saturating_sub(1)..(y + 2).min(image.height()) {
-        for u in x.saturating_sub(1)..(x + 2).min(image.width()) {
-            let pixel = image.get_pixel(u, v);
+        let mut row = [[0; 3]; 3];
+        let pixels = &mut row[..(end - first) as usize];
+        image.copy_row(first as usize, v as usize, pixels.as_flattened_mut());
+        for pixel in pixels {
             (0..3).for_each(|c| sum[c] += u32::from(pixel[c]));
             count += 1;
         }
