@@ -4,6 +4,7 @@ import threading
 import time
 
 import numpy as np
+import pytest
 
 import pb3dp
 from conftest import CASES, estimator_of, without_time
@@ -22,8 +23,13 @@ def test_every_layout_of_memory_gives_the_same_bits(case):
     upside_down = np.ascontiguousarray(left[::-1])
     read_only = left.copy()
     read_only.flags.writeable = False
+    # Memory of another library, with gaps between the rows.
+    camera = np.ndarray((height, width, 3), np.uint8, bytearray(np.pad(left, ((0, 0), (2, 3), (0, 0))).tobytes()), 6, (3 * width + 15, 3, 1))
     for strided in [
+        (camera, right),
         (both[:, :width], both[:, width:]),
+        (np.pad(left, ((3, 2), (5, 7), (0, 0)))[3:-2, 5:-7], np.pad(right, ((0, 1), (0, 0), (0, 0)))[:-1]),
+        (np.concatenate([left, left], axis=2)[..., :3], np.pad(right, ((0, 0), (0, 0), (1, 0)))[..., 1:]),
         (upside_down[::-1], right),
         (np.asfortranarray(left), np.asfortranarray(right)),
         (np.ascontiguousarray(left[..., ::-1])[..., ::-1], right),
@@ -41,6 +47,9 @@ def test_grey_images_are_those_with_three_equal_channels(case):
     assert answer(estimator_of(recording), *grey, recording.region) == expected
     strided = [image[..., 1] for image in (pair.left, pair.right)]
     assert answer(estimator_of(recording), *strided, recording.region) == expected
+    both = np.concatenate(grey, axis=1)
+    halves = np.split(both, 2, axis=1)
+    assert answer(estimator_of(recording), *halves, recording.region) == expected
 
 
 def test_images_with_sixteen_bits(case):
@@ -48,6 +57,13 @@ def test_images_with_sixteen_bits(case):
     deep = [image.astype(np.uint16) for image in (pair.left, pair.right)]
     stated = pb3dp.Estimator(recording.rig, z_range_m=recording.z_range_m, tilt_max_rad=recording.tilt_max_rad, value_range=(0, 255))
     assert answer(stated, *deep, recording.region) == answer(estimator_of(recording), pair.left, pair.right, recording.region)
+    inside = [np.pad(image, ((2, 1), (3, 4), (0, 0)), constant_values=65535)[2:-1, 3:-4] for image in deep]
+    fresh = pb3dp.Estimator(recording.rig, z_range_m=recording.z_range_m, tilt_max_rad=recording.tilt_max_rad, value_range=(0, 255))
+    assert answer(fresh, *inside, recording.region) == answer(stated, *deep, recording.region)
+    grey = [image[..., 1].copy() for image in (pair.left, pair.right)]
+    of_grey = pb3dp.Estimator(recording.rig, z_range_m=recording.z_range_m, tilt_max_rad=recording.tilt_max_rad, value_range=(0, 4080))
+    found = answer(of_grey, *(image.astype(np.uint16) * 16 for image in grey), recording.region)
+    assert found == answer(estimator_of(recording), *grey, recording.region)
     measured = estimator_of(recording).estimate(deep[0] * 16, deep[1] * 16, recording.region)
     assert abs(measured.z_m - stated.estimate(*deep, recording.region).z_m) < 0.005 * measured.z_m
 
@@ -56,7 +72,7 @@ def test_images_are_not_copied_where_they_need_not_be():
     # Images of a wrong size are refused at once, after they were taken over: the time of the call is that of a copy, if there is one.
     size = 600
     rig = pb3dp.Recording(CASES[0]).rig
-    estimator = pb3dp.Estimator(rig)
+    estimator = pb3dp.Estimator(rig, value_range=(0, 4095))
     region = pb3dp.Region.rectangle(0, 0, 9, 9)
 
     def median_s(image):
@@ -71,7 +87,18 @@ def test_images_are_not_copied_where_they_need_not_be():
         return sorted(times)[2]
 
     whole = np.zeros((size, size, 3), np.uint8)
-    assert median_s(whole) * 10 < median_s(np.asfortranarray(whole))
+    copied_s = median_s(np.asfortranarray(whole))
+    both = np.zeros((size, 2 * size, 3), np.uint8)
+    for image in (whole, both[:, :size], both[:, size:], whole[..., 0].copy(), whole.astype(np.uint16), both.astype(np.uint16)[:, size:]):
+        assert median_s(image) * 10 < copied_s, (image.shape, image.strides, image.dtype)
+
+
+def test_images_of_one_row_or_column_are_taken():
+    rig, region = pb3dp.Recording(CASES[0]).rig, pb3dp.Region.rectangle(0, 0, 9, 9)
+    for shape in [(1, 1), (1, 9), (9, 1), (1, 1, 3), (1, 9, 3), (9, 1, 3)]:
+        for image in (np.zeros(shape, np.uint8), np.zeros((18, *shape[1:]), np.uint16)[:: 18 // shape[0]]):
+            with pytest.raises(pb3dp.Error, match=f"{shape[1]}x{shape[0]}|{shape[1]} x {shape[0]}"):
+                pb3dp.Estimator(rig, value_range=(0, 9)).estimate(image, image, region)
 
 
 def test_threads_estimate_at_the_same_time(case):

@@ -3,10 +3,10 @@
 use pb3dp_estimation::estimator::{FramePrior, Tracker};
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::method::EstimateRequest;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
-use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_estimation_core::status::Status;
 
 /// Number of pairs without initialisation after which the target is given up: its region may show something else by then.
@@ -50,8 +50,8 @@ impl Follower {
     /// Images that do not match the calibration, an unsuitable region, a bad range, or no region yet.
     pub fn look<'a>(
         &mut self,
-        left: impl Into<RgbView<'a>>,
-        right: impl Into<RgbView<'a>>,
+        left: impl Into<ImageView<'a>>,
+        right: impl Into<ImageView<'a>>,
         region: Option<&Region>,
         prior: &FramePrior,
         may_continue: &mut dyn FnMut() -> bool,

@@ -3,7 +3,7 @@
 use std::fmt::Display;
 use std::ops::RangeInclusive;
 
-use crate::rgb_view::RgbView;
+use crate::image_view::ImageView;
 use pb3dp_geometry::StereoRig;
 
 /// Why an estimation request was rejected. A pose that cannot be determined is not an error but a [`crate::status::Status`].
@@ -111,7 +111,7 @@ macro_rules! ranges {
 ///
 /// # Errors
 /// [`EstimationError::ImageSize`] with the camera and both sizes.
-pub fn check_image_sizes(rig: &StereoRig, left: RgbView<'_>, right: RgbView<'_>) -> Result<(), EstimationError> {
+pub fn check_image_sizes(rig: &StereoRig, left: ImageView<'_>, right: ImageView<'_>) -> Result<(), EstimationError> {
     for (side, image, camera) in [("left", left, rig.left()), ("right", right, rig.right())] {
         let expected = camera.size();
         if image.width() != expected.width || image.height() != expected.height {

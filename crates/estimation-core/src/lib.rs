@@ -6,11 +6,11 @@
 mod codes;
 pub mod error;
 pub mod estimate;
+pub mod image_view;
 pub mod method;
 pub mod model_frame;
 pub mod plane_hypothesis;
 pub mod region;
-pub mod rgb_view;
 pub mod row_offset;
 pub mod status;
 pub mod trig;

@@ -2,13 +2,13 @@
 
 use std::fmt::Debug;
 
-use crate::rgb_view::RgbView;
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point3, UnitQuaternion, Vector3};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
 
 use crate::error::EstimationError;
 use crate::estimate::{EstimateWarning, PlaneEstimate, TrackEstimate};
+use crate::image_view::ImageView;
 use crate::plane_hypothesis::SearchRange;
 use crate::region::Region;
 use crate::row_offset::RowMeasurement;
@@ -18,9 +18,9 @@ use crate::row_offset::RowMeasurement;
 #[non_exhaustive]
 pub struct EstimateRequest<'a> {
     /// Raw image of the left camera.
-    pub left: RgbView<'a>,
+    pub left: ImageView<'a>,
     /// Raw image of the right camera, exposed at the same time.
-    pub right: RgbView<'a>,
+    pub right: ImageView<'a>,
     /// A new target; `None` keeps the target of the previous request.
     pub target: Option<MarkedTarget<'a>>,
     /// Prior knowledge about a tracked target.
@@ -57,19 +57,22 @@ impl FramePrior {
         Self { cam_left_prev_from_cam_left_now: cam_left_prev_from_cam_left_now.copied(), ..Self::default() }
     }
 
-    /// Without what cannot be true: numbers that are not finite, a camera that moved by more than [`CAMERA_STEP_MAX_M`] or
+    /// Without what cannot be true: numbers that are not finite, a rotation that is none, a camera that moved by more than [`CAMERA_STEP_MAX_M`] or
     /// [`CAMERA_TURN_MAX_RAD`], a target behind the camera or farther than [`TARGET_MAX_M`]. A wrong prior then costs accuracy of a
     /// prediction, not the target.
     #[must_use]
     pub fn plausible(&self) -> Self {
+        // A caller may have made it without a check.
+        let is_rotation = |rotation: &UnitQuaternion<f64>| (rotation.norm() - 1.0).abs() < 1e-6;
         let is_step = |motion: &Pose<CamLeft, CamLeft>| {
             motion.is_finite()
+                && is_rotation(&motion.rotation())
                 && motion.translation_m().norm() <= CAMERA_STEP_MAX_M
                 && motion.rotation_angle_rad() <= CAMERA_TURN_MAX_RAD
         };
         let is_target = |pose: &Pose<CamLeft, Model>| {
             let at_m = pose.translation_m();
-            pose.is_finite() && at_m.z > 0.0 && at_m.norm() <= TARGET_MAX_M
+            pose.is_finite() && is_rotation(&pose.rotation()) && at_m.z > 0.0 && at_m.norm() <= TARGET_MAX_M
         };
         Self {
             cam_left_prev_from_cam_left_now: self.cam_left_prev_from_cam_left_now.filter(is_step),
@@ -117,8 +120,8 @@ impl Debug for Deadline<'_> {
 impl<'a> EstimateRequest<'a> {
     /// Request for a new target, without a time limit.
     pub fn of_target(
-        left: impl Into<RgbView<'a>>,
-        right: impl Into<RgbView<'a>>,
+        left: impl Into<ImageView<'a>>,
+        right: impl Into<ImageView<'a>>,
         region: &'a Region,
         range: &'a SearchRange,
     ) -> Self {
@@ -128,7 +131,7 @@ impl<'a> EstimateRequest<'a> {
     }
 
     /// Request for the next frame of the tracked target, without a time limit.
-    pub fn of_next(left: impl Into<RgbView<'a>>, right: impl Into<RgbView<'a>>, prior: &FramePrior) -> Self {
+    pub fn of_next(left: impl Into<ImageView<'a>>, right: impl Into<ImageView<'a>>, prior: &FramePrior) -> Self {
         let (left, right) = (left.into(), right.into());
         Self { left, right, target: None, prior: *prior, deadline: Deadline::default() }
     }
@@ -183,7 +186,11 @@ pub trait EstimationMethod: Debug + Send {
     ///
     /// # Errors
     /// Images that do not match the calibration.
-    fn prepare(&mut self, left: RgbView<'_>, right: RgbView<'_>) -> Result<Option<RowMeasurement>, EstimationError> {
+    fn prepare(
+        &mut self,
+        left: ImageView<'_>,
+        right: ImageView<'_>,
+    ) -> Result<Option<RowMeasurement>, EstimationError> {
         let _ = (left, right);
         Ok(None)
     }

@@ -4,7 +4,7 @@
 //! of the raw left image; integer coordinates are pixel centres. Unusable regions are rejected with a [`RegionError`].
 //! [`Region::inspect`] reports regions that may be unsuitable as [`RegionWarning`]s.
 
-use crate::rgb_view::RgbView;
+use crate::image_view::ImageView;
 use image::GrayImage;
 use nalgebra::Vector2;
 use pb3dp_geometry::ImageSize;
@@ -248,7 +248,7 @@ impl Region {
     /// Unusable regions: outside the image, too small, or malformed; see [`RegionError`].
     pub fn rasterize<'a>(
         &self,
-        left: impl Into<RgbView<'a>>,
+        left: impl Into<ImageView<'a>>,
         config: &RegionConfig,
     ) -> Result<RegionMask, RegionError> {
         let mut mask = RegionMask::empty(ImageSize { width: 0, height: 0 });
@@ -262,7 +262,7 @@ impl Region {
     /// As [`Self::rasterize`]; the contents of the mask are then undefined.
     pub fn rasterize_into(
         &self,
-        left: RgbView<'_>,
+        left: ImageView<'_>,
         config: &RegionConfig,
         mask: &mut RegionMask,
     ) -> Result<(), RegionError> {
@@ -318,7 +318,7 @@ impl Region {
     /// Warnings about the region; `mask` is the result of [`Self::rasterize`] on the same image.
     pub fn inspect<'a>(
         &self,
-        left: impl Into<RgbView<'a>>,
+        left: impl Into<ImageView<'a>>,
         mask: &RegionMask,
         config: &RegionConfig,
     ) -> Vec<RegionWarning> {
@@ -362,7 +362,7 @@ impl Region {
     }
 }
 
-fn size_of(image: RgbView<'_>) -> ImageSize {
+fn size_of(image: ImageView<'_>) -> ImageSize {
     ImageSize { width: image.width(), height: image.height() }
 }
 
@@ -403,7 +403,7 @@ fn mask_of_image(image: &GrayImage, size: ImageSize) -> Result<(RegionMask, usiz
     Ok((mask, covered_px))
 }
 
-fn click(left: RgbView<'_>, x: i32, y: i32, config: &RegionConfig) -> Result<RegionMask, RegionError> {
+fn click(left: ImageView<'_>, x: i32, y: i32, config: &RegionConfig) -> Result<RegionMask, RegionError> {
     let size = size_of(left);
     let inside = x >= 0 && y >= 0 && (x as u32) < size.width && (y as u32) < size.height;
     if !inside {
@@ -425,7 +425,7 @@ fn click(left: RgbView<'_>, x: i32, y: i32, config: &RegionConfig) -> Result<Reg
     Ok(mask)
 }
 
-fn appearance_warnings(left: RgbView<'_>, mask: &RegionMask, config: &RegionConfig) -> Vec<RegionWarning> {
+fn appearance_warnings(left: ImageView<'_>, mask: &RegionMask, config: &RegionConfig) -> Vec<RegionWarning> {
     let (mut count, mut coloured, mut sum, mut sum_of_squares) = (0_usize, 0_usize, 0.0, 0.0);
     mask.for_each(|x, y| {
         let colour = grow::smooth_colour(left, x, y);

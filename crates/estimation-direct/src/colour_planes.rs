@@ -5,7 +5,7 @@
 //! the three channels stays equal and independent.
 
 use pb3dp_estimation_core::cpu::Kernels;
-use pb3dp_estimation_core::rgb_view::RgbView;
+use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::wide::{LANES, wide};
 
 use super::image_plane::{ImagePlane, PixelWindow};
@@ -71,13 +71,12 @@ impl ColourPlanes {
     }
 
     /// Computes the channels of the part of `window` inside the image.
-    pub fn update(&mut self, image: RgbView<'_>, window: PixelWindow, wanted: Wanted, kernels: Kernels) {
+    pub fn update(&mut self, image: ImageView<'_>, window: PixelWindow, wanted: Wanted, kernels: Kernels) {
         let window = window.clipped(image.width(), image.height());
         self.resize(window, wanted);
-        let stride = image.width() as usize * 3;
-        for y in 0..window.height {
-            let start = (window.y as usize + y) * stride + window.x as usize * 3;
-            let rgb = &image.as_raw()[start..start + window.width * 3];
+        let (columns, mut converted) = (window.columns(), Vec::new());
+        for (y, row) in window.rows().enumerate() {
+            let rgb = image.rgb(columns.clone(), row..row + 1, &mut converted).row(0);
             let flags = &mut self.flags[y * window.width..(y + 1) * window.width];
             let [luminance, a, b] = &mut self.planes;
             match wanted {
@@ -92,16 +91,16 @@ impl ColourPlanes {
 impl ColourPlanes {
     /// Computes the luminance of the part of `window` inside the image at half the size: means of 2 x 2 pixels, and their
     /// flags. The window is given in full-size pixels and starts at even ones.
-    pub fn update_halved(&mut self, image: RgbView<'_>, window: PixelWindow, kernels: Kernels) {
+    pub fn update_halved(&mut self, image: ImageView<'_>, window: PixelWindow, kernels: Kernels) {
         let full = window.clipped(image.width(), image.height());
         let window = full.halved();
         self.resize(window, Wanted::Luminance);
-        let stride = image.width() as usize * 3;
-        for y in 0..window.height {
-            let start = (full.y as usize + 2 * y) * stride + full.x as usize * 3;
-            let row = |start: usize| &image.as_raw()[start..start + window.width * 6];
+        let first = full.x as usize;
+        let (columns, mut converted) = (first..first + 2 * window.width, Vec::new());
+        for (y, row) in full.rows().step_by(2).take(window.height).enumerate() {
+            let rows = image.rgb(columns.clone(), row..row + 2, &mut converted);
             let flags = &mut self.flags[y * window.width..(y + 1) * window.width];
-            halved_row(kernels, row(start), row(start + stride), self.planes[0].row_mut(y), flags);
+            halved_row(kernels, rows.row(0), rows.row(1), self.planes[0].row_mut(y), flags);
         }
     }
 }

@@ -4,10 +4,10 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose, SecondPlane};
+use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, MarkedTarget};
 use pb3dp_estimation_core::plane_hypothesis::{PlaneHypothesis, SearchRange};
 use pb3dp_estimation_core::region::{RegionConfig, RegionMask};
-use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::StereoRig;
 
@@ -123,8 +123,8 @@ impl DirectEstimator {
     /// Images that do not match the calibration.
     pub fn measure_rows<'a>(
         &mut self,
-        left: impl Into<RgbView<'a>>,
-        right: impl Into<RgbView<'a>>,
+        left: impl Into<ImageView<'a>>,
+        right: impl Into<ImageView<'a>>,
     ) -> Result<RowMeasurement, EstimationError> {
         let (left, right) = (left.into(), right.into());
         self.front_end.check(left, right)?;
@@ -143,7 +143,7 @@ impl DirectEstimator {
         self.rows = rows;
     }
 
-    fn rows_warning(&self, right: RgbView<'_>) -> Option<EstimateWarning> {
+    fn rows_warning(&self, right: ImageView<'_>) -> Option<EstimateWarning> {
         let offset_max_px = self.rows.magnitude_max_px(right.width(), right.height());
         (offset_max_px > ROWS_OFF_MAX_PX).then_some(EstimateWarning::RowsOff { offset_max_px })
     }
@@ -306,7 +306,11 @@ impl EstimationMethod for DirectEstimator {
 
     /// Measures the row offset of the rig and uses it from now on; takes some milliseconds. With too few matched points the
     /// offset is zero.
-    fn prepare(&mut self, left: RgbView<'_>, right: RgbView<'_>) -> Result<Option<RowMeasurement>, EstimationError> {
+    fn prepare(
+        &mut self,
+        left: ImageView<'_>,
+        right: ImageView<'_>,
+    ) -> Result<Option<RowMeasurement>, EstimationError> {
         self.measure_rows(left, right).map(Some)
     }
 
@@ -320,10 +324,18 @@ impl EstimationMethod for DirectEstimator {
 const ROWS_OFF_MAX_PX: f64 = 1.5;
 
 /// Whether both images are identical. Two blank images of one colour may be equal and do not count.
-fn is_same_image(left: RgbView<'_>, right: RgbView<'_>) -> bool {
-    let (pixels, _) = left.as_raw().as_chunks::<3>();
-    let shows_something = || pixels.iter().any(|pixel| Some(pixel) != pixels.first());
-    left.as_raw() == right.as_raw() && shows_something()
+fn is_same_image(left: ImageView<'_>, right: ImageView<'_>) -> bool {
+    let (mut first, mut buffers, mut shows_something) = (None, [const { Vec::new() }; 2], false);
+    left.dimensions() == right.dimensions()
+        && (0..left.height()).all(|y| {
+            let [a, b] = &mut buffers;
+            let row = left.row(y, a);
+            let (pixels, _) = row.as_chunks::<3>();
+            let first = first.get_or_insert_with(|| pixels.first().copied());
+            shows_something = shows_something || pixels.iter().any(|pixel| Some(*pixel) != *first);
+            row == right.row(y, b)
+        })
+        && shows_something
 }
 
 /// Reasons against a confident estimate from outside the searched range: depths at which the right image does not show the

@@ -6,8 +6,8 @@
 use nalgebra::Vector2;
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_image_sizes};
+use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::region::{Coverage, PixelBox, RegionMask};
-use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_estimation_core::row_offset::RowOffset;
 use pb3dp_estimation_core::wide::wide;
 use pb3dp_geometry::frames::{CamLeft, CamLeftRect};
@@ -138,7 +138,7 @@ impl StereoFrontEnd {
     ///
     /// # Errors
     /// An error with the camera and both sizes.
-    pub fn check(&self, left: RgbView<'_>, right: RgbView<'_>) -> Result<(), EstimationError> {
+    pub fn check(&self, left: ImageView<'_>, right: ImageView<'_>) -> Result<(), EstimationError> {
         check_image_sizes(&self.raw, left, right)
     }
 
@@ -182,7 +182,7 @@ impl StereoFrontEnd {
 
     /// Loads the channels of the part of `window` (rectified pixels) inside the rectified image of a camera. `raw` is the
     /// unmodified image, with the size verified by [`Self::check`].
-    pub fn load(&self, side: Side, raw: RgbView<'_>, window: PixelWindow, wanted: Wanted, out: &mut ColourPlanes) {
+    pub fn load(&self, side: Side, raw: ImageView<'_>, window: PixelWindow, wanted: Wanted, out: &mut ColourPlanes) {
         match &self.maps {
             None => out.update(raw, window, wanted, self.kernels),
             Some(maps) => resample(&maps[side as usize], raw, window, wanted, self.kernels, out),
@@ -195,7 +195,7 @@ impl StereoFrontEnd {
     pub(super) fn load_halved(
         &self,
         side: Side,
-        raw: RgbView<'_>,
+        raw: ImageView<'_>,
         window: PixelWindow,
         halvings: usize,
         wanted: Wanted,
@@ -240,7 +240,7 @@ impl StereoFrontEnd {
     pub(super) fn load_reduced(
         &self,
         side: Side,
-        raw: RgbView<'_>,
+        raw: ImageView<'_>,
         window: PixelWindow,
         unit: usize,
         wanted: Wanted,

@@ -1,5 +1,7 @@
 //! One channel of a part of an image, single precision.
 
+use std::ops::Range;
+
 use nalgebra::Vector2;
 
 /// A window of whole pixels with any origin, also outside the image.
@@ -25,6 +27,16 @@ impl PixelWindow {
         };
         let ((x, width), (y, height)) = (clip(self.x, self.width, width), clip(self.y, self.height, height));
         Self { x, y, width, height }
+    }
+
+    /// The columns of a window inside an image.
+    pub fn columns(&self) -> Range<usize> {
+        self.x as usize..self.x as usize + self.width
+    }
+
+    /// The rows of a window inside an image.
+    pub fn rows(&self) -> Range<usize> {
+        self.y as usize..self.y as usize + self.height
     }
 
     /// The window on a grid with pixels of twice the size; its start must be even.

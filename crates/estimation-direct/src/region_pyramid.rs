@@ -7,8 +7,8 @@
 
 use nalgebra::Vector2;
 use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::region::{PixelBox, RegionMask};
-use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_estimation_core::wide::wide;
 
 use super::colour_planes::{ColourPlanes, UNSEEN, Wanted};
@@ -38,9 +38,9 @@ const DISPARITY_MAX_PX: f64 = 1e9;
 #[derive(Clone, Copy, Debug)]
 pub struct PyramidSource<'a> {
     /// Raw left image.
-    pub left: RgbView<'a>,
+    pub left: ImageView<'a>,
     /// Raw right image.
-    pub right: RgbView<'a>,
+    pub right: ImageView<'a>,
     /// The region in the rectified left image.
     pub region: &'a RegionMask,
     /// Disparities that the right window must cover, pixels: lowest and highest.
@@ -313,7 +313,7 @@ impl RegionPyramid {
 #[derive(Clone, Copy)]
 struct CameraImage<'a> {
     side: Side,
-    raw: RgbView<'a>,
+    raw: ImageView<'a>,
     wanted: Wanted,
     halvings: usize,
 }

@@ -11,7 +11,7 @@ mod source;
 mod tests;
 
 use pb3dp_estimation_core::cpu::Kernels;
-use pb3dp_estimation_core::rgb_view::RgbView;
+use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::wide::wide;
 use pb3dp_geometry::maps::PixelMap;
 
@@ -64,21 +64,24 @@ wide! {
 /// Fills the part of a window inside the destination image from the whole raw image.
 pub(super) fn resample(
     map: &PixelMap,
-    raw: RgbView<'_>,
+    raw: ImageView<'_>,
     window: PixelWindow,
     wanted: Wanted,
     kernels: Kernels,
     out: &mut ColourPlanes,
 ) {
-    let raw = RawImage::new(raw);
-    fill_cells(map, window, wanted, kernels, out, |positions, cell| sample(kernels, raw, positions, cell));
+    let (borrowed, mut converted) = (RawImage::borrowed(raw), Vec::new());
+    fill_cells(map, window, wanted, kernels, out, |positions, cell| {
+        let raw = borrowed.unwrap_or_else(|| RawImage::of_cell(raw, positions, &mut converted));
+        sample(kernels, raw, positions, cell);
+    });
 }
 
 /// As [`resample`], at a size reduced by `scale`: `map` and `window` are between reduced images.
 #[allow(clippy::too_many_arguments, reason = "image, map, window and buffers")]
 pub(super) fn resample_reduced(
     map: &PixelMap,
-    raw: RgbView<'_>,
+    raw: ImageView<'_>,
     window: PixelWindow,
     scale: usize,
     wanted: Wanted,
@@ -98,7 +101,7 @@ fn fill_cells(
     wanted: Wanted,
     kernels: Kernels,
     out: &mut ColourPlanes,
-    sample: impl Fn(&CellPositions, &mut CellOutput<'_>),
+    mut sample: impl FnMut(&CellPositions, &mut CellOutput<'_>),
 ) {
     let window = window.clipped(map.size().width, map.size().height);
     out.resize(window, wanted);
@@ -117,8 +120,8 @@ fn fill_cells(
 #[inline(always)]
 fn sample_kernel<T: Value>(raw: RawImage<'_, T>, positions: &CellPositions, out: &mut CellOutput<'_>) {
     // Taps begin before this position. Two pixels in the last corner, whose taps do not fill a register, are not used.
-    let length = raw.values.len().saturating_sub(9 * raw.width);
-    let lines: [&[T]; 4] = std::array::from_fn(|j| &raw.values[(3 * j * raw.width).min(raw.values.len())..]);
+    let length = raw.values.len().saturating_sub(3 * raw.stride);
+    let lines: [&[T]; 4] = std::array::from_fn(|j| &raw.values[(j * raw.stride).min(raw.values.len())..]);
     let lines = lines.map(|line| &line[..length.min(line.len())]);
     let may_be_saturated = may_be_saturated(&raw, positions);
     let count = out.size.0.min(CELL);
@@ -154,7 +157,7 @@ fn sample_kernel<T: Value>(raw: RawImage<'_, T>, positions: &CellPositions, out:
 /// Positions of the first taps of a row of pixels; beyond any image without a source.
 #[inline(always)]
 fn first_taps<T: Value>(raw: &RawImage<'_, T>, columns: &[i32; CELL], rows: &[i32; CELL]) -> [u32; CELL] {
-    let (stride, last_column, last_row) = (3 * raw.width as u32, raw.width as i32 - 3, raw.height as i32 - 3);
+    let (stride, last_column, last_row) = (raw.stride as u32, raw.width as i32 - 3, raw.height as i32 - 3);
     let mut starts = [0; CELL];
     for i in 0..CELL {
         let is_inside = (columns[i] >= 1) & (columns[i] <= last_column) & (rows[i] >= 1) & (rows[i] <= last_row);
@@ -245,7 +248,7 @@ fn may_be_saturated<T: Value>(raw: &RawImage<'_, T>, positions: &CellPositions) 
     let length = (3 * columns.len()).next_multiple_of(LANES);
     let (mut highest, mut last) = ([T::default(); LANES], T::default());
     for row in rows {
-        let start = (3 * (row * raw.width + columns.start)).min(raw.values.len());
+        let start = (row * raw.stride + 3 * columns.start).min(raw.values.len());
         let (values, rest) = raw.values[start..(start + length).min(raw.values.len())].as_chunks::<LANES>();
         for values in values {
             for k in 0..LANES {

@@ -6,8 +6,8 @@
 
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::region::RegionMask;
-use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_estimation_core::wide::wide;
 
 use super::colour_planes::Wanted;
@@ -52,7 +52,7 @@ struct RowMatch {
 }
 
 /// Measures the row offset of a pair of raw images that the front end has checked.
-pub(super) fn measure_rows(front_end: &StereoFrontEnd, left: RgbView<'_>, right: RgbView<'_>) -> RowMeasurement {
+pub(super) fn measure_rows(front_end: &StereoFrontEnd, left: ImageView<'_>, right: ImageView<'_>) -> RowMeasurement {
     let middle = front_end.middle();
     let mut region = RegionMask::empty(front_end.size(Side::Left));
     for y in 0..middle.height as i64 {

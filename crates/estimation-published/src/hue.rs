@@ -5,8 +5,8 @@
 
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_range};
+use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::ranges;
-use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_estimation_core::wide::wide;
 
 /// Number of padding elements before and after the pixels, so that kernels may read a whole vector at either end.
@@ -104,14 +104,14 @@ pub struct HuePlane {
 
 impl HuePlane {
     /// Computes the hues of an image with the fastest kernels of this processor.
-    pub fn from_rgb<'a>(rgb: impl Into<RgbView<'a>>, config: &HueConfig) -> Self {
+    pub fn from_rgb<'a>(rgb: impl Into<ImageView<'a>>, config: &HueConfig) -> Self {
         let mut plane = Self::default();
         plane.update_from_rgb(rgb, config, Kernels::best());
         plane
     }
 
     /// Recomputes the plane; allocates only if the image has grown.
-    pub fn update_from_rgb<'a>(&mut self, rgb: impl Into<RgbView<'a>>, config: &HueConfig, kernels: Kernels) {
+    pub fn update_from_rgb<'a>(&mut self, rgb: impl Into<ImageView<'a>>, config: &HueConfig, kernels: Kernels) {
         let rgb = rgb.into();
         (self.width, self.height) = (rgb.width() as usize, rgb.height() as usize);
         let pixels = self.width * self.height;
@@ -119,7 +119,10 @@ impl HuePlane {
             self.data.clear();
             self.data.resize(pixels + 2 * PAD, 0);
         }
-        convert(kernels, rgb.as_raw(), config.gate(), &mut self.data[PAD..PAD + pixels]);
+        let (gate, mut converted) = (config.gate(), Vec::new());
+        for (y, hues) in self.data[PAD..PAD + pixels].chunks_exact_mut(self.width.max(1)).enumerate() {
+            convert(kernels, rgb.row(y as u32, &mut converted), gate, hues);
+        }
     }
 
     /// Columns.
@@ -173,6 +176,9 @@ fn convert_kernel(rgb: &[u8], gate: Gate, out: &mut [u16]) {
     let (hues, last_hues) = out.as_chunks_mut::<BLOCK>();
     for (block, hues) in blocks.iter().zip(hues) {
         convert_block(block, gate, hues);
+    }
+    if rest.is_empty() {
+        return;
     }
     let mut last = [0; 3 * BLOCK];
     last[..rest.len()].copy_from_slice(rest);

@@ -1,7 +1,7 @@
 //! The required window of one raw image, as a pyramid with fast sub-pixel sampling.
 
 use pb3dp_estimation_core::cpu::Kernels;
-use pb3dp_estimation_core::rgb_view::RgbView;
+use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::wide::wide;
 use pb3dp_estimation_direct::colour_planes::{OPPONENT_FROM_RGB, SATURATED_FROM};
 use pb3dp_estimation_direct::image_plane::PixelWindow;
@@ -47,7 +47,7 @@ pub(super) struct CameraImages {
 
 impl CameraImages {
     /// Loads the part of `window` inside the image; allocates only if no previous window was as large.
-    pub(super) fn update(&mut self, image: RgbView<'_>, window: PixelWindow, kernels: Kernels) {
+    pub(super) fn update(&mut self, image: ImageView<'_>, window: PixelWindow, kernels: Kernels) {
         let window = aligned(window).clipped(image.width(), image.height());
         self.window = window;
         self.full.copy(image, window);
@@ -145,16 +145,14 @@ impl TexelPlane {
 }
 
 impl RgbPlane {
-    fn copy(&mut self, image: RgbView<'_>, window: PixelWindow) {
+    fn copy(&mut self, image: ImageView<'_>, window: PixelWindow) {
         (self.width, self.height) = (window.width, window.height);
         let (row, bytes) = (3 * window.width, 3 * window.width * window.height + PADDING);
         if self.rgb.len() < bytes {
             self.rgb.resize(bytes, 0);
         }
-        let stride = image.width() as usize * 3;
-        for y in 0..window.height {
-            let start = (window.y as usize + y) * stride + window.x as usize * 3;
-            self.rgb[y * row..(y + 1) * row].copy_from_slice(&image.as_raw()[start..start + row]);
+        for (y, out) in window.rows().zip(self.rgb.chunks_exact_mut(row.max(1))) {
+            image.copy_row(window.x as usize, y, out);
         }
     }
 

@@ -137,7 +137,9 @@ impl Searcher {
                 let [y, a, b] = view.value.map(|v| v.0[i]);
                 let value = [y, a, b, 0.0];
                 if self.template.len() < POINTS_MAX {
-                    self.template.push(TemplatePoint { offset_px: offset.map(|x| x.round() as i32), value });
+                    // Farther than any pixel, and far from the end of integers.
+                    let offset_px = offset.map(|x| x.round().clamp(-1e6, 1e6) as i32);
+                    self.template.push(TemplatePoint { offset_px, value });
                 }
             }
         }

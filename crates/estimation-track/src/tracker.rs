@@ -6,10 +6,10 @@ use nalgebra::{Matrix6, Point3, Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_image_sizes};
 use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose, SHIFT_SIGMA_SURE, TrackEstimate};
+use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, FramePrior, MarkedTarget, SurfacePoint};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::{Region, RegionConfig, RegionMask};
-use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
 use pb3dp_estimation_direct::image_plane::PixelWindow;
@@ -200,8 +200,8 @@ impl DirectTracker {
     /// Images that do not match the calibration, or an unsuitable region.
     pub fn start_from_plane<'a>(
         &mut self,
-        left: impl Into<RgbView<'a>>,
-        right: impl Into<RgbView<'a>>,
+        left: impl Into<ImageView<'a>>,
+        right: impl Into<ImageView<'a>>,
         region: &Region,
         plane: &PlanePose,
     ) -> Result<TrackEstimate, EstimationError> {
@@ -250,8 +250,8 @@ impl DirectTracker {
     /// A target with points in the `inner` pixels of a region, near a plane; `None` if there are too few.
     fn first_target(
         &mut self,
-        left: RgbView<'_>,
-        right: RgbView<'_>,
+        left: ImageView<'_>,
+        right: ImageView<'_>,
         outline_px: &[Vector2<f64>],
         mask: &RegionMask,
         inner: &RegionMask,
@@ -273,7 +273,7 @@ impl DirectTracker {
     /// Points of the first left image, and the pose of the model frame; `None` if there are too few.
     fn first_surface(
         &mut self,
-        left: RgbView<'_>,
+        left: ImageView<'_>,
         mask: &RegionMask,
         inner: &RegionMask,
         q: Vector3<f64>,
@@ -332,14 +332,14 @@ impl DirectTracker {
     fn follow(
         &mut self,
         target: &mut Target,
-        left: RgbView<'_>,
-        right: RgbView<'_>,
+        left: ImageView<'_>,
+        right: ImageView<'_>,
         prior: &FramePrior,
         may_continue: &mut dyn FnMut() -> bool,
     ) -> Ending {
         target.frame += 1;
         let prior = &prior.plausible();
-        if let Some(side) = stuck_camera(&self.remembered, [left, right]) {
+        if let Some(side) = stuck_camera(&mut self.remembered, [left, right]) {
             target.away_s += passed_s(prior);
             target.motion.coast(prior);
             return Ending::Stuck(side);
@@ -381,7 +381,7 @@ impl DirectTracker {
     }
 
     /// Stores the parts of both images that contained the target in its last pose.
-    fn remember(&mut self, target: &Target, left: RgbView<'_>, right: RgbView<'_>) {
+    fn remember(&mut self, target: &Target, left: ImageView<'_>, right: ImageView<'_>) {
         let pose = target.estimate.cam_left_from_model;
         let right_pose = *self.rig.cam_right_from_cam_left() * pose;
         let cameras = [(left, self.rig.left(), pose.isometry()), (right, self.rig.right(), right_pose.isometry())];
@@ -391,7 +391,7 @@ impl DirectTracker {
     }
 
     /// Converts whole images.
-    fn load_whole(&mut self, left: RgbView<'_>, right: RgbView<'_>) {
+    fn load_whole(&mut self, left: ImageView<'_>, right: ImageView<'_>) {
         for (images, image) in self.images.iter_mut().zip([left, right]) {
             let (width, height) = (image.width() as usize, image.height() as usize);
             images.update(image, PixelWindow { x: 0, y: 0, width, height }, self.kernels);
@@ -401,8 +401,8 @@ impl DirectTracker {
     /// Converts the windows around the predicted target.
     fn load(
         &mut self,
-        left: RgbView<'_>,
-        right: RgbView<'_>,
+        left: ImageView<'_>,
+        right: ImageView<'_>,
         pose: &Pose<CamLeft, Model>,
         outline: &[Point3<f64>],
         margin: u32,

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::{PlaneEstimate, TrackEstimate};
-use pb3dp_estimation_core::rgb_view::RgbView;
+use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
 use pb3dp_estimation_published::estimator::PublishedConfig;
 use pb3dp_estimation_track::DirectTrackerConfig;
@@ -151,8 +151,8 @@ impl Estimator {
     /// Images that do not match the calibration.
     pub fn prepare<'a>(
         &mut self,
-        left: impl Into<RgbView<'a>>,
-        right: impl Into<RgbView<'a>>,
+        left: impl Into<ImageView<'a>>,
+        right: impl Into<ImageView<'a>>,
     ) -> Result<Option<RowMeasurement>, EstimationError> {
         self.inner.prepare(left.into(), right.into())
     }

@@ -18,7 +18,7 @@ mod images;
 #[cfg(test)]
 mod tests;
 
-use pb3dp_estimation_core::rgb_view::RgbView;
+use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::trig;
 use pb3dp_geometry::StereoRig;
 
@@ -177,12 +177,12 @@ impl PairCheck {
 /// Checks a stereo pair against its calibration.
 ///
 /// Images with a size other than the rig's give [`PairVerdict::Unknown`]: reject them before.
-pub fn check_pair<'a>(rig: &StereoRig, left: impl Into<RgbView<'a>>, right: impl Into<RgbView<'a>>) -> PairCheck {
+pub fn check_pair<'a>(rig: &StereoRig, left: impl Into<ImageView<'a>>, right: impl Into<ImageView<'a>>) -> PairCheck {
     check_views(rig, left.into(), right.into())
 }
 
-fn check_views(rig: &StereoRig, left: RgbView<'_>, right: RgbView<'_>) -> PairCheck {
-    let fits = |camera: &pb3dp_geometry::Camera, image: RgbView<'_>| {
+fn check_views(rig: &StereoRig, left: ImageView<'_>, right: ImageView<'_>) -> PairCheck {
+    let fits = |camera: &pb3dp_geometry::Camera, image: ImageView<'_>| {
         (camera.size().width, camera.size().height) == image.dimensions()
     };
     if !fits(rig.left(), left) || !fits(rig.right(), right) || roll_deg(rig).abs() > ROLL_MAX_DEG {
@@ -288,7 +288,7 @@ struct Search {
 }
 
 /// Matches patches of the left image in the right image; `None` if the images are smaller than a few patches.
-fn matches_of(rig: &StereoRig, left: RgbView<'_>, right: RgbView<'_>) -> Option<Search> {
+fn matches_of(rig: &StereoRig, left: ImageView<'_>, right: ImageView<'_>) -> Option<Search> {
     let factor = (f64::from(left.width()) / WORKING_WIDTH_MAX).ceil().max(1.0) as usize;
     let images = Images::new(left, right, factor);
     if [&images.left, &images.right].iter().any(|plane| plane.width.min(plane.height) < 4 * WINDOW) {

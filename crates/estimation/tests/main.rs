@@ -13,6 +13,7 @@ mod direct_track;
 mod direct_track_edges;
 mod direct_track_no_allocation;
 mod direct_track_priors;
+mod image_forms;
 #[path = "support/moving_plane.rs"]
 mod moving_plane;
 mod no_allocation;

@@ -26,6 +26,26 @@ fn every_method_survives_any_pair() {
     survives_seeded_bytes("estimators", sweep(96, 960), 0..64, abuse::every_method_survives);
 }
 
+#[test]
+fn images_in_any_form_give_the_same_answers() {
+    survives_seeded_bytes("images", sweep(64, 1280), 0..64, abuse::images_in_any_form_survive);
+}
+
+#[test]
+fn regions_with_any_numbers_are_masks_or_refused() {
+    survives_seeded_bytes("regions", sweep(1000, 20_000), 0..200, abuse::regions_with_any_numbers_survive);
+}
+
+#[test]
+fn every_method_survives_calibrations_with_any_numbers() {
+    survives_seeded_bytes("calibrations", sweep(200, 4000), 0..128, abuse::calibrations_with_any_numbers_survive);
+}
+
+#[test]
+fn every_method_survives_priors_with_any_numbers() {
+    survives_seeded_bytes("priors", sweep(64, 1280), 0..128, abuse::priors_with_any_numbers_survive);
+}
+
 /// The extreme cases by name, so that every run covers them: every pattern, in images of 100, 1, 3 and 16 pixels.
 #[test]
 fn every_method_survives_the_classics() {
@@ -82,4 +102,29 @@ fn every_method_survives_what_fuzzing_found() {
         assert!(abuse::Abuse::from_bytes(bytes).is_some(), "{bytes:?} check nothing");
         abuse::every_method_survives(bytes);
     }
+}
+
+/// Images for which fuzzing found failures, or answers that depended on the form.
+#[test]
+fn images_in_any_form_give_the_same_answers_as_fuzzing_found() {
+    let found: [&[u8]; 2] = [
+        // The last two pixels of the last corner were resampled from converted images only.
+        &[
+            0, 0, 0, 0, 0, 0, 216, 0, 0, 0, 11, 0, 6, 0, 31, 0, 0, 11, 15, 0, 0, 0, 3, 0, 29, 5, 72, 112, 93, 131, 149,
+            14, 54, 39,
+        ],
+        // A window without columns.
+        &[
+            0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 230, 7, 128, 183, 24, 61, 44, 215, 83, 141, 165,
+            56, 6, 216, 67, 248, 128, 135, 117, 171, 3, 182,
+        ],
+    ];
+    found.iter().for_each(|bytes| abuse::images_in_any_form_survive(bytes));
+}
+
+/// Priors with which fuzzing found failures.
+#[test]
+fn every_method_survives_the_priors_that_fuzzing_found() {
+    // A rotation with a norm of 100000: positions of the template left the range of integers.
+    abuse::priors_with_any_numbers_survive(&[133, 5, 65, 0, 0, 0, 2, 0, 0, 0, 65, 0, 0, 0, 184, 224, 133]);
 }

@@ -18,6 +18,7 @@ pub mod so3;
 pub mod stereo_rig;
 pub mod time;
 pub mod twist;
+mod value_range;
 
 pub use camera::{Camera, CameraError, Distortion, ImageSize, Pinhole};
 pub use frames::Frame;
@@ -26,6 +27,7 @@ pub use rectification::{Rectification, RectificationError};
 pub use stereo_rig::{StereoRig, StereoRigError};
 pub use time::MonotonicTime;
 pub use twist::Twist;
+pub use value_range::{ValueRange, WrongRange};
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

@@ -28,6 +28,19 @@ fn check_pixels(camera: &Camera, points_in_cam: &[[f64; 3]; 4], pixels: &[[f64; 
     }
 }
 
+/// Found by fuzzing: the pixel was not a number.
+#[test]
+fn points_without_a_finite_pixel_are_not_imaged() {
+    for distortion in [Distortion::None, EQUIDISTANT] {
+        let camera = camera(distortion);
+        for (x, z) in [(f64::INFINITY, 1.0), (f64::MAX, 1e-300), (f64::NAN, 1.0), (1.0, f64::NAN)] {
+            let point = Point3::new(x, 0.1, z);
+            assert_eq!(camera.project(&point), None, "{point} {distortion:?}");
+            assert_eq!(camera.project_with_jacobian(&point), None, "{point} {distortion:?}");
+        }
+    }
+}
+
 /// Golden values: OpenCV 4.14.0 (PyPI `opencv-python-headless` 4.14.0.94), with `z = np.zeros(3)`, `K` and the
 /// coefficients `D` as above: `cv2.projectPoints(points, z, z, K, D)[0]`, and for the fisheye
 /// `cv2.fisheye.projectPoints(points.reshape(-1, 1, 3), z, z, K, D)[0]`.

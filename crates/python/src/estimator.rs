@@ -6,9 +6,9 @@ use std::sync::{Mutex, PoisonError};
 use anyhow::{Context, Result};
 use pb3dp_estimation::estimator::{Estimator as Inner, Method};
 use pb3dp_estimation::pair_check::check_pair;
+use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::method::EstimateRequest;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
-use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_geometry::{ImageSize, StereoRig as Rig};
 use pb3dp_hal_platform::cpu_time::{timed, within};
 use pb3dp_record::value_range::ValueRange;
@@ -45,7 +45,7 @@ struct State {
 
 impl State {
     /// Checks the first pair, and measures the rig on the first pair that allows it; returns a doubt about the calibration.
-    fn prepare(&mut self, rig: &Rig, left: RgbView<'_>, right: RgbView<'_>) -> Result<Option<String>> {
+    fn prepare(&mut self, rig: &Rig, left: ImageView<'_>, right: ImageView<'_>) -> Result<Option<String>> {
         let mut doubt = None;
         if !self.is_checked {
             doubt = check_pair(rig, left, right).accepted().context(SWAP)?;
@@ -65,7 +65,7 @@ impl Estimator {
     /// `method`: `direct` or `published`. `z_range_m`: the nearest and the farthest depth to search, metres; by default those with disparities
     /// of 35 to 5 % of the width. `tilt_max_rad`: the largest tilt to search, radians; default 60 degrees. `config`: a TOML file with all
     /// parameters of the methods. `seed`: of the search of the published method. `value_range`: the values that become black and white in
-    /// images of uint16; measured on the first pair by default.
+    /// images of uint16, such as (0, 4095) for 12 bits; measured on the first pair by default.
     #[new]
     #[pyo3(signature = (rig, method="direct", *, z_range_m=None, tilt_max_rad=None, config=None, seed=None, value_range=None))]
     #[allow(clippy::too_many_arguments, reason = "keywords of Python")]
@@ -91,9 +91,9 @@ impl Estimator {
     /// Estimates the pose of a region.
     ///
     /// `left` and `right`: the raw images, as the cameras delivered them; height x width x 3 in the order red, green, blue, or height x width,
-    /// of uint8 or uint16. Images of uint8 with three channels and without gaps are used where they are; all others are copied. Do not write
-    /// to them before the call returns. `centroid_px`: the point of the left image on whose ray the depth is given; by default the centroid of
-    /// the region. `deadline_ms`: after this CPU time the best estimate so far is returned, with a warning.
+    /// of uint8 or uint16. Images are used where they are, also parts of larger images, if the values of a row are beside each other; others
+    /// are copied. Do not write to them before the call returns. `centroid_px`: the point of the left image on whose ray the depth is given;
+    /// by default the centroid of the region. `deadline_ms`: after this CPU time the best estimate so far is returned, with a warning.
     #[pyo3(signature = (left, right, region, *, centroid_px=None, deadline_ms=None))]
     fn estimate(
         &self,

@@ -7,15 +7,15 @@
 use image::RgbImage;
 use pb3dp_geometry::ImageSize;
 
-pub use pb3dp_camera_settings::{ValueRange, WrongRange};
+pub use pb3dp_geometry::{ValueRange, WrongRange};
 
 /// Share of the values below the measured range, and share above it: some hot and dead pixels.
 const OUTSIDE: f64 = 0.001;
 
-/// The range of these images together, without the darkest and the brightest thousandth of their values.
-fn measured(images: &[&DeepImage]) -> ValueRange {
+/// The range of values, without the darkest and the brightest thousandth of them.
+pub fn measured_range<'a>(values: impl IntoIterator<Item = &'a u16>) -> ValueRange {
     let mut counts = vec![0_u64; 1 << 16];
-    for value in images.iter().flat_map(|image| &image.values) {
+    for value in values {
         counts[usize::from(*value)] += 1;
     }
     let all: u64 = counts.iter().sum();
@@ -33,7 +33,7 @@ pub fn range_of_pair(range: &mut Option<ValueRange>, deep: &[&DeepImage]) -> (Va
         (Some(range), _) => (range, None),
         (None, []) => (ValueRange::FULL, None),
         (None, deep) => {
-            let measured = *range.insert(measured(deep));
+            let measured = *range.insert(measured_range(deep.iter().flat_map(|image| &image.values)));
             (measured, Some(note(measured)))
         }
     }
@@ -155,9 +155,9 @@ mod tests {
         let mut left: Vec<u16> = (0..3000).map(|k| 1000 + k % 500).collect();
         left[17] = 65535;
         let right: Vec<u16> = (0..3000).map(|k| 1200 + k % 500).collect();
-        let range = measured(&[&grey(&left), &grey(&right)]);
+        let range = measured_range(left.iter().chain(&right));
         assert!((1000..=1001).contains(&range.low()) && (1698..=1699).contains(&range.high()), "{range}");
-        assert_eq!(grey(&[9; 4]).bytes(measured(&[&grey(&[9; 4])])), [0; 4]);
-        assert_eq!(measured(&[&grey(&[65535; 4])]), ValueRange::new(65534, 65535).unwrap());
+        assert_eq!(grey(&[9; 4]).bytes(measured_range(&[9; 4])), [0; 4]);
+        assert_eq!(measured_range(&[65535; 4]), ValueRange::new(65534, 65535).unwrap());
     }
 }

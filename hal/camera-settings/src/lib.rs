@@ -6,7 +6,6 @@ mod layout;
 mod names;
 mod pixels;
 mod timing;
-mod value_range;
 
 use std::time::Duration;
 
@@ -14,9 +13,9 @@ use pb3dp_geometry::ImageSize;
 
 pub use layout::{Crop, DeviceLayout, ImageLayout, LayoutError, UnknownLayout};
 pub use names::{CameraName, CameraNameError};
+pub use pb3dp_geometry::{ValueRange, WrongRange};
 pub use pixels::{BayerOrder, PixelFormat, UnknownFormat};
 pub use timing::{StampModel, StampSource, nanos};
-pub use value_range::{ValueRange, WrongRange};
 
 /// Frame interval in seconds, as a fraction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

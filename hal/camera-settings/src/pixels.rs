@@ -1,6 +1,6 @@
 //! Pixel formats of cameras.
 
-use crate::value_range::ValueRange;
+use pb3dp_geometry::ValueRange;
 
 /// The pixel format of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

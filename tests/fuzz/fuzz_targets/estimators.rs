@@ -1,7 +1,7 @@
 //! Runs every estimation method on fuzzer input.
 #![no_main]
 
-#[allow(dead_code, reason = "the property tests use more of it")]
+#[allow(dead_code, unused_imports, reason = "the property tests use more of it")]
 #[path = "../../../crates/estimation/tests/support/abuse.rs"]
 mod abuse;
 

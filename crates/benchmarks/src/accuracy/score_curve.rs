@@ -3,9 +3,9 @@
 use anyhow::Context;
 use nalgebra::{Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::plane_hypothesis::{PinholePair, PlaneHypothesis};
 use pb3dp_estimation_core::region::{RegionConfig, RegionMask};
-use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_estimation_direct::colour_planes::{ColourPlanes, Wanted};
 use pb3dp_estimation_direct::front_end::{Side, StereoFrontEnd};
 use pb3dp_estimation_direct::image_plane::{ImagePlane, PixelWindow};
@@ -86,7 +86,7 @@ fn luminance(rig: &StereoRig, pair: &Rendered) -> anyhow::Result<[ImagePlane; 2]
         let size = front_end.size(side);
         let window = PixelWindow { x: 0, y: 0, width: size.width as usize, height: size.height as usize };
         let mut planes = ColourPlanes::default();
-        front_end.load(side, RgbView::from(image), window, Wanted::Luminance, &mut planes);
+        front_end.load(side, ImageView::from(image), window, Wanted::Luminance, &mut planes);
         planes.luminance().clone()
     };
     Ok([load(Side::Left, &pair.left), load(Side::Right, &pair.right)])

@@ -1,6 +1,6 @@
 //! Region growing from a seed pixel, and connected components of a mask.
 
-use crate::rgb_view::RgbView;
+use crate::image_view::ImageView;
 use pb3dp_geometry::ImageSize;
 
 use super::{RegionConfig, RegionMask};
@@ -26,11 +26,14 @@ pub(super) struct SmoothColour {
 }
 
 /// Mean colour of the 3x3 pixels around (x, y), clipped to the image.
-pub(super) fn smooth_colour(image: RgbView<'_>, x: u32, y: u32) -> SmoothColour {
+pub(super) fn smooth_colour(image: ImageView<'_>, x: u32, y: u32) -> SmoothColour {
+    let (first, end) = (x.saturating_sub(1), (x + 2).min(image.width()));
     let (mut sum, mut count) = ([0_u32; 3], 0_u32);
     for v in y.saturating_sub(1)..(y + 2).min(image.height()) {
-        for u in x.saturating_sub(1)..(x + 2).min(image.width()) {
-            let pixel = image.get_pixel(u, v);
+        let mut row = [[0; 3]; 3];
+        let pixels = &mut row[..(end - first) as usize];
+        image.copy_row(first as usize, v as usize, pixels.as_flattened_mut());
+        for pixel in pixels {
             (0..3).for_each(|c| sum[c] += u32::from(pixel[c]));
             count += 1;
         }
@@ -52,7 +55,7 @@ pub(super) fn smooth_colour(image: RgbView<'_>, x: u32, y: u32) -> SmoothColour 
 
 /// Grows the region of similar pixels connected to the seed (4-connected) and fills its holes; also returns the kind of the
 /// seed.
-pub(super) fn from_seed(image: RgbView<'_>, x: u32, y: u32, config: &RegionConfig) -> (Seed, RegionMask) {
+pub(super) fn from_seed(image: ImageView<'_>, x: u32, y: u32, config: &RegionConfig) -> (Seed, RegionMask) {
     let colour = smooth_colour(image, x, y);
     let seed = if colour.chroma >= config.click_chroma_min {
         Seed::Hue(colour.hue_deg)

@@ -10,7 +10,7 @@
 use std::ops::Range;
 
 use pb3dp_estimation_core::cpu::Kernels;
-use pb3dp_estimation_core::rgb_view::RgbView;
+use pb3dp_estimation_core::image_view::{ImageView, RgbRows};
 use pb3dp_estimation_core::wide::wide;
 
 use super::super::colour_planes::{ColourPlanes, SATURATED, SATURATED_FROM, UNSEEN, Wanted};
@@ -42,9 +42,7 @@ pub(super) struct CameraChannels {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Preparation {
     smoother: Smoother,
-    /// Resampled image.
-    loaded: ColourPlanes,
-    reduced: ReducedImage,
+    scratch: Scratch,
     /// The only channel of a grey image.
     grey: Vec<u8>,
     /// Means over the pixels of the level.
@@ -58,6 +56,16 @@ pub(super) struct Preparation {
     middle: [f32; CHANNELS_MAX],
 }
 
+/// The required part of an image, if it is not in the image itself.
+#[derive(Clone, Debug, Default)]
+struct Scratch {
+    /// Resampled.
+    loaded: ColourPlanes,
+    reduced: ReducedImage,
+    /// Converted to 8-bit colour.
+    converted: Vec<u8>,
+}
+
 /// The pair from which the channels are prepared.
 #[derive(Clone, Copy)]
 pub(super) struct Pair<'a> {
@@ -67,6 +75,14 @@ pub(super) struct Pair<'a> {
     pub colours: [Option<&'a ColourPlanes>; 2],
     /// Side of the squares of image pixels that are read, pixels: 1 if the images are not resampled.
     pub unit: usize,
+}
+
+/// The required part of an image.
+#[derive(Clone, Copy)]
+enum Source<'a> {
+    Resampled(Resampled<'a>),
+    /// The rows that are read, of an image that is used unchanged.
+    Unchanged(RgbRows<'a>),
 }
 
 /// The required part of a resampled image.
@@ -141,7 +157,7 @@ pub(super) fn rows_of(bounds: &PixelWindow, shift: i32, part: &PixelWindow) -> (
 struct Job<'a> {
     front_end: &'a StereoFrontEnd,
     side: Side,
-    image: RgbView<'a>,
+    image: ImageView<'a>,
     request: &'a ChannelRequest,
     grid: Grid,
     /// Side of the squares that are read, pixels: they are the pixels of the grid.
@@ -194,29 +210,26 @@ impl<'a> Job<'a> {
         self.grid.size.0 * self.grid.scale
     }
 
-    /// The required part of the image, if the images are resampled: from the colours of the pyramid, or resampled into `own`.
-    fn resampled<'b>(
-        &self,
-        pair: &Pair<'b>,
-        own: &'b mut ColourPlanes,
-        scratch: &mut ReducedImage,
-    ) -> Option<Resampled<'b>> {
-        if !pair.front_end.resamples() {
-            return None;
-        }
-        let height = (self.read.1 - self.read.0) as usize;
-        let part = PixelWindow { x: self.grid.first.0, y: self.read.0, width: self.width(), height };
-        let kept = pair.colours[self.side as usize].and_then(|colours| Resampled::new(colours, &part));
-        kept.or_else(|| {
-            self.front_end.load_reduced(self.side, self.image, part, self.unit, Wanted::Rgb, scratch, own);
-            Resampled::new(own, &part)
-        })
+    /// Number of image rows that are read.
+    fn rows(&self) -> usize {
+        (self.read.1 - self.read.0) as usize
     }
 
-    /// Red, green and blue of a row of the image.
-    fn bytes(&self, row: i32) -> &'a [u8] {
-        let start = (row as usize * self.image.width() as usize + self.grid.first.0 as usize) * 3;
-        &self.image.as_raw()[start..start + self.width() * 3]
+    /// The required part of the image. Of images that are resampled it is in the colours of the pyramid, or resampled into `loaded`.
+    fn source<'b>(&self, pair: &Pair<'b>, scratch: &'b mut Scratch) -> Source<'b>
+    where
+        'a: 'b,
+    {
+        let part = PixelWindow { x: self.grid.first.0, y: self.read.0, width: self.width(), height: self.rows() };
+        if !pair.front_end.resamples() {
+            return Source::Unchanged(self.image.rgb(part.columns(), part.rows(), &mut scratch.converted));
+        }
+        let kept = pair.colours[self.side as usize].and_then(|colours| Resampled::new(colours, &part));
+        Source::Resampled(kept.unwrap_or_else(|| {
+            let Scratch { loaded, reduced, .. } = scratch;
+            self.front_end.load_reduced(self.side, self.image, part, self.unit, Wanted::Rgb, reduced, loaded);
+            Resampled { size: (loaded.window.width, loaded.window.height), planes: loaded, first: (0, 0) }
+        }))
     }
 
     /// The image row that corresponds to row `row` of the full image in a block of columns, if it exists.
@@ -238,16 +251,16 @@ impl Preparation {
     ) -> usize {
         let job = Job::new(pair, Side::Left, &level.left.window, level.scale, request, None);
         let kernels = pair.front_end.kernels();
-        let mut loaded = std::mem::take(&mut self.loaded);
-        let resampled = job.resampled(pair, &mut loaded, &mut self.reduced);
-        let grey = match &resampled {
-            Some(resampled) => resampled.is_grey(),
-            None => (job.read.0..job.read.1).all(|row| !has_colour(kernels, job.bytes(row))),
+        let mut scratch = std::mem::take(&mut self.scratch);
+        let source = job.source(pair, &mut scratch);
+        let grey = match &source {
+            Source::Resampled(resampled) => resampled.is_grey(),
+            Source::Unchanged(rgb) => (0..job.rows()).all(|y| !has_colour(kernels, rgb.row(y))),
         };
         let channels = if grey { 1 } else { CHANNELS_MAX };
-        self.find_middle(&job, resampled.as_ref(), channels);
-        self.fill(&job, resampled.as_ref(), channels, out);
-        self.loaded = loaded;
+        self.find_middle(&job, &source, channels);
+        self.fill(&job, &source, channels, out);
+        self.scratch = scratch;
         channels
     }
 
@@ -264,58 +277,52 @@ impl Preparation {
         let rows = RowOffset { offset_px: pair.source.rows.offset_px + row_px, ..pair.source.rows };
         let rows = (!rows.is_zero()).then_some(rows);
         let job = Job::new(pair, Side::Right, &level.right.window, level.scale, request, rows);
-        let mut loaded = std::mem::take(&mut self.loaded);
-        let resampled = job.resampled(pair, &mut loaded, &mut self.reduced);
-        self.fill(&job, resampled.as_ref(), channels, out);
-        self.loaded = loaded;
+        let mut scratch = std::mem::take(&mut self.scratch);
+        let source = job.source(pair, &mut scratch);
+        self.fill(&job, &source, channels, out);
+        self.scratch = scratch;
     }
 
     /// The mean of every channel, from a sample of rows and columns.
-    fn find_middle(&mut self, job: &Job<'_>, resampled: Option<&Resampled<'_>>, channels: usize) {
+    fn find_middle(&mut self, job: &Job<'_>, source: &Source<'_>, channels: usize) {
         for c in 0..channels {
-            self.middle[c] = if let Some(resampled) = resampled {
-                resampled.mean(c)
-            } else {
-                let rows = (job.read.1 - job.read.0) as usize;
-                let step = (rows as f64 * job.width() as f64 / MIDDLE_OF as f64).sqrt().ceil() as usize;
-                let some = (job.read.0..job.read.1).step_by(step.max(1));
-                mean(some.flat_map(|row| job.bytes(row)[c..].iter().step_by(3 * step.max(1)).map(|&v| f32::from(v))))
+            self.middle[c] = match source {
+                Source::Resampled(resampled) => resampled.mean(c),
+                Source::Unchanged(rgb) => {
+                    let step = (job.rows() as f64 * job.width() as f64 / MIDDLE_OF as f64).sqrt().ceil() as usize;
+                    let some = (0..job.rows()).step_by(step.max(1));
+                    mean(some.flat_map(|y| rgb.row(y)[c..].iter().step_by(3 * step.max(1)).map(|&v| f32::from(v))))
+                }
             };
         }
     }
 
     /// Means over the pixels of a level, smoothed.
-    fn fill(&mut self, job: &Job<'_>, resampled: Option<&Resampled<'_>>, channels: usize, out: &mut CameraChannels) {
+    fn fill(&mut self, job: &Job<'_>, source: &Source<'_>, channels: usize, out: &mut CameraChannels) {
         out.part = job.request.part;
-        let kernels = job.front_end.kernels();
-        if let Some(resampled) = resampled {
-            for c in 0..channels {
-                let Resampled { planes, first, size } = *resampled;
-                let source = ImageRows {
-                    values: &planes.planes[c].values()[first.1 * planes.window.width..],
-                    stride: planes.window.width,
-                    start: first.0,
-                    top: job.read.0,
-                    rows: size.1,
-                };
-                average_values(kernels, &source, &job.grid, &mut self.means);
-                self.smooth(job, c, &mut out.planes[c..=c]);
+        let (kernels, top, rows) = (job.front_end.kernels(), job.read.0, job.rows());
+        match source {
+            Source::Resampled(Resampled { planes, first, size }) => {
+                for c in 0..channels {
+                    let values = &planes.planes[c].values()[first.1 * planes.window.width..];
+                    let source = ImageRows { values, stride: planes.window.width, start: first.0, top, rows: size.1 };
+                    average_values(kernels, &source, &job.grid, &mut self.means);
+                    self.smooth(job, c, &mut out.planes[c..=c]);
+                }
             }
-        } else if channels == 1 {
-            self.take_grey(job);
-            let (values, width) = (self.grey.as_slice(), job.width());
-            let rows = (job.read.1 - job.read.0) as usize;
-            let source = ImageRows { values, stride: width, start: 0, top: job.read.0, rows };
-            average_bytes(kernels, &source, &job.grid, &mut self.means);
-            self.smooth(job, 0, &mut out.planes[..1]);
-        } else {
-            let (stride, rows) = (job.image.width() as usize * 3, job.image.height() as usize);
-            let start = job.grid.first.0 as usize * 3;
-            let source = ImageRows { values: job.image.as_raw(), stride, start, top: 0, rows };
-            average_colours(kernels, &source, &job.grid, &mut self.means);
-            self.smooth(job, 0, &mut out.planes);
+            Source::Unchanged(rgb) if channels == 1 => {
+                self.take_grey(job, rgb);
+                let source = ImageRows { values: self.grey.as_slice(), stride: job.width(), start: 0, top, rows };
+                average_bytes(kernels, &source, &job.grid, &mut self.means);
+                self.smooth(job, 0, &mut out.planes[..1]);
+            }
+            Source::Unchanged(rgb) => {
+                let source = ImageRows { values: rgb.bytes(), stride: rgb.stride(), start: 0, top, rows };
+                average_colours(kernels, &source, &job.grid, &mut self.means);
+                self.smooth(job, 0, &mut out.planes);
+            }
         }
-        if self.find_unusable(job, resampled, channels) {
+        if self.find_unusable(job, source, channels) {
             for (plane, unusable) in out.planes.iter_mut().zip(&self.unusable).take(channels) {
                 mark_unusable(unusable, &mut self.unusable_row, job.request.rows.0..job.request.rows.1, plane, kernels);
             }
@@ -336,23 +343,26 @@ impl Preparation {
     }
 
     /// Copies the first channel of the required part.
-    fn take_grey(&mut self, job: &Job<'_>) {
-        let (width, rows) = (job.width(), (job.read.1 - job.read.0) as usize);
+    fn take_grey(&mut self, job: &Job<'_>, rgb: &RgbRows<'_>) {
+        let (width, rows) = (job.width(), job.rows());
         // The last row needs room for a whole block too.
         self.grey.resize(width * rows + BLOCK, 0);
-        for (row, out) in (job.read.0..job.read.1).zip(self.grey.chunks_exact_mut(width)) {
-            first_of_three(job.front_end.kernels(), job.bytes(row), out);
+        for (y, out) in (0..rows).zip(self.grey.chunks_exact_mut(width)) {
+            first_of_three(job.front_end.kernels(), rgb.row(y), out);
         }
     }
 
     /// Finds the unusable pixels per channel; returns whether there are any.
-    fn find_unusable(&mut self, job: &Job<'_>, resampled: Option<&Resampled<'_>>, channels: usize) -> bool {
+    fn find_unusable(&mut self, job: &Job<'_>, source: &Source<'_>, channels: usize) -> bool {
         let (read, kernels) = (job.read, job.front_end.kernels());
         self.flagged.clear();
-        if let Some(resampled) = resampled {
-            self.flagged.extend((0..resampled.size.1).map(|y| any_flag(resampled.flags(y))));
-        } else {
-            self.flagged.extend((read.0..read.1).map(|row| highest(kernels, job.bytes(row)) >= SATURATED_FROM));
+        match source {
+            Source::Resampled(resampled) => {
+                self.flagged.extend((0..resampled.size.1).map(|y| any_flag(resampled.flags(y))));
+            }
+            Source::Unchanged(rgb) => {
+                self.flagged.extend((0..job.rows()).map(|y| highest(kernels, rgb.row(y)) >= SATURATED_FROM));
+            }
         }
         let s = job.grid.scale;
         let rows = (job.grid.first.1, job.grid.first.1 + (job.grid.size.1 * s) as i32);
@@ -377,13 +387,15 @@ impl Preparation {
             let first = (job.first_row + (row - rows.0) as usize / s) * part.width;
             let squares = first + columns.start / s..first + columns.end.div_ceil(s);
             let [a, b, c] = self.unusable.each_mut().map(|all| all.get_mut(squares.clone()).unwrap_or_default());
-            match (nearest, resampled) {
-                (None, _) => [a, b, c].into_iter().for_each(|all| all.fill(1)),
-                (Some(row), Some(resampled)) => {
-                    mark_resampled(resampled, (row - read.0) as usize, columns, s, [a, b, c]);
-                }
-                (Some(row), None) => {
-                    mark_saturated(kernels, &job.bytes(row)[3 * columns.start..3 * columns.end], s, [a, b, c])
+            let Some(row) = nearest else {
+                [a, b, c].into_iter().for_each(|all| all.fill(1));
+                continue;
+            };
+            let y = (row - read.0) as usize;
+            match source {
+                Source::Resampled(resampled) => mark_resampled(resampled, y, columns, s, [a, b, c]),
+                Source::Unchanged(rgb) => {
+                    mark_saturated(kernels, &rgb.row(y)[3 * columns.start..3 * columns.end], s, [a, b, c]);
                 }
             }
         }

@@ -1,5 +1,7 @@
 //! Positions of rectified pixels in the raw image, cell by cell.
 
+use std::ops::Range;
+
 use nalgebra::Vector2;
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::wide::wide;
@@ -59,6 +61,22 @@ impl CellPositions {
         extremes(kernels, &self.at, &mut ends);
         let round = |axis: usize, at: f32| self.base[axis] + (f64::from(at) + 0.5).floor() as i32;
         [0, 1].map(|axis| (round(axis, ends[axis].0), round(axis, ends[axis].1)))
+    }
+
+    /// The columns and rows of a source of this size that the cubic kernel reads at all positions, and one more: a register of taps holds
+    /// more than four pixels.
+    pub fn taps_box(&self, size: [u32; 2]) -> [Range<usize>; 2] {
+        [0, 1].map(|axis| {
+            // Pixels without a source are negative.
+            let seen = self.at[axis].as_flattened().iter().copied().filter(|at| *at >= 0.0);
+            let (low, high) = seen.fold((f32::MAX, 0.0_f32), |(low, high), at| (low.min(at), high.max(at)));
+            let pixel = |at: f32, beside: i64| {
+                let whole = i64::from(self.base[axis]) + beside;
+                whole.saturating_add(at as i64).clamp(0, i64::from(size[axis])) as usize
+            };
+            let first = pixel(low, -1);
+            first..pixel(high, 4).max(first)
+        })
     }
 
     /// The source pixels nearest to the positions of a row: columns and rows, which may be outside the image.

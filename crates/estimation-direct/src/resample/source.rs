@@ -2,13 +2,13 @@
 
 use nalgebra::Vector2;
 use pb3dp_estimation_core::cpu::Kernels;
-use pb3dp_estimation_core::rgb_view::RgbView;
+use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::wide::wide;
 use pb3dp_geometry::maps::PixelMap;
 
 use super::super::colour_planes::SATURATED_FROM;
 use super::super::image_plane::PixelWindow;
-use super::cells::POSITION_MAX_PX;
+use super::cells::{CellPositions, POSITION_MAX_PX};
 
 /// Values per pixel and row of the kernel: four pixels of three channels, and four unused ones to fill a register.
 pub const TAPS: usize = 16;
@@ -55,6 +55,8 @@ pub const REDUCTION_MAX: usize = 8;
 #[derive(Clone, Copy)]
 pub struct RawImage<'a, T> {
     pub(super) values: &'a [T],
+    /// Values from one row to the next.
+    pub(super) stride: usize,
     pub(super) width: usize,
     pub(super) height: usize,
     /// Position of the first pixel in the whole image.
@@ -64,9 +66,23 @@ pub struct RawImage<'a, T> {
 }
 
 impl<'a> RawImage<'a, u8> {
-    pub fn new(image: RgbView<'a>) -> Self {
+    /// A whole image in its own memory; `None` if it is not 8-bit colour.
+    pub fn borrowed(image: ImageView<'a>) -> Option<Self> {
         let (width, height) = (image.width() as usize, image.height() as usize);
-        Self { values: image.as_raw(), width, height, first: [0; 2], share: 1.0 }
+        let rows = image.borrowed_rgb()?;
+        Some(Self { values: rows.bytes(), stride: rows.stride(), width, height, first: [0; 2], share: 1.0 })
+    }
+
+    /// The part of an image that a cell shows, converted into `buffer`: the cell gets the same values as from the whole image.
+    pub fn of_cell(image: ImageView<'_>, positions: &CellPositions, buffer: &'a mut Vec<u8>) -> Self {
+        let [columns, rows] = positions.taps_box([image.width(), image.height()]);
+        let size = (columns.len(), rows.len());
+        let first = [columns.start as i32, rows.start as i32];
+        let has_last_pixel = columns.end == image.width() as usize && rows.end == image.height() as usize;
+        image.rgb(columns, rows, buffer);
+        // Room for the taps of the last pixels. The last corner of the image has none.
+        buffer.resize(buffer.len() + if has_last_pixel { 0 } else { TAPS }, 0);
+        Self { values: buffer, stride: 3 * size.0, width: size.0, height: size.1, first, share: 1.0 }
     }
 }
 
@@ -74,7 +90,7 @@ impl<'a, T: Value> RawImage<'a, T> {
     /// The neighbourhood of a pixel, which must be inside the part: four rows.
     #[inline(always)]
     pub(super) fn taps(&self, column: i32, row: i32) -> Option<[&'a [T; TAPS]; 4]> {
-        let stride = 3 * self.width;
+        let stride = self.stride;
         let start = (row as usize - 1) * stride + 3 * (column as usize - 1);
         let values = self.values.get(start..start + 3 * stride + TAPS)?;
         let row = |j: usize| values.get(j * stride..)?.first_chunk();
@@ -87,6 +103,8 @@ impl<'a, T: Value> RawImage<'a, T> {
 pub struct ReducedImage {
     values: Vec<u16>,
     columns: Vec<u16>,
+    /// Rows of an image that is not 8-bit colour.
+    converted: Vec<u8>,
     size: (usize, usize),
     first: [i32; 2],
     scale: usize,
@@ -95,25 +113,25 @@ pub struct ReducedImage {
 impl ReducedImage {
     /// Sums over squares of side `scale`, for the part of `raw` that the pixels of `window` show; `map` is between images
     /// reduced by `scale`.
-    pub fn update(&mut self, map: &PixelMap, raw: RgbView<'_>, window: &PixelWindow, scale: usize, kernels: Kernels) {
+    pub fn update(&mut self, map: &PixelMap, raw: ImageView<'_>, window: &PixelWindow, scale: usize, kernels: Kernels) {
         let part = source_box(map, window);
         (self.size, self.first, self.scale) = ((part.width, part.height), [part.x, part.y], scale);
         // Room for the taps of the last pixels.
         self.values.resize(3 * part.width * part.height + TAPS, 0);
         self.columns.resize(3 * part.width * scale + 3 * REDUCTION_MAX + LANES, 0);
-        let stride = 3 * raw.width() as usize;
-        for y in 0..part.height {
-            let start = (part.y as usize + y) * scale * stride + 3 * part.x as usize * scale;
-            let rows = &raw.as_raw()[start..start + (scale - 1) * stride + 3 * part.width * scale];
+        let first = part.x as usize * scale;
+        let columns = first..first + part.width * scale;
+        for (y, row) in part.rows().enumerate() {
+            let rows = raw.rgb(columns.clone(), row * scale..(row + 1) * scale, &mut self.converted);
             let out = &mut self.values[3 * part.width * y..][..3 * part.width];
-            reduce_rows(kernels, rows, stride, scale, &mut self.columns, out);
+            reduce_rows(kernels, rows.bytes(), rows.stride(), scale, &mut self.columns, out);
         }
     }
 
     pub(super) fn image(&self) -> RawImage<'_, u16> {
         let (width, height) = self.size;
         let share = 1.0 / (self.scale * self.scale).max(1) as f32;
-        RawImage { values: &self.values, width, height, first: self.first, share }
+        RawImage { values: &self.values, stride: 3 * width, width, height, first: self.first, share }
     }
 }
 

@@ -4,10 +4,10 @@ use nalgebra::Vector2;
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::ReferenceOptimum;
+use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::method::Deadline;
 use pb3dp_estimation_core::plane_hypothesis::{PinholePair, PlaneHypothesis, SearchRange};
 use pb3dp_estimation_core::region::{Region, RegionMask, RegionWarning};
-use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_geometry::{Camera, StereoRig};
 
 use super::PublishedConfig;
@@ -93,8 +93,8 @@ impl Core {
     /// Loads both images and creates the model of a region of the raw left image.
     pub(super) fn take(
         &mut self,
-        left: RgbView<'_>,
-        right: RgbView<'_>,
+        left: ImageView<'_>,
+        right: ImageView<'_>,
         region: &Region,
     ) -> Result<LoadedRegion, EstimationError> {
         self.front.check_left_size(left)?;
@@ -109,7 +109,7 @@ impl Core {
     }
 
     /// Loads both images.
-    pub(super) fn load(&mut self, left: RgbView<'_>, right: RgbView<'_>) -> Result<(), EstimationError> {
+    pub(super) fn load(&mut self, left: ImageView<'_>, right: ImageView<'_>) -> Result<(), EstimationError> {
         self.front.load(left, right)
     }
 

@@ -4,9 +4,9 @@ use image::RgbImage;
 use nalgebra::Vector2;
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::EstimationError;
+use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::plane_hypothesis::PinholePair;
 use pb3dp_estimation_core::region::RegionMask;
-use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_geometry::maps::RemapTable;
 use pb3dp_geometry::{Camera, Distortion, ImageSize, StereoRig};
 
@@ -19,6 +19,8 @@ struct CameraInput {
     camera: Camera,
     /// Remap table and undistorted image, if the camera has distortion.
     undistortion: Option<(RemapTable, RgbImage)>,
+    /// The image to undistort in one piece of 8-bit colour, if it is not yet.
+    whole: Vec<u8>,
     hue: HuePlane,
 }
 
@@ -41,7 +43,7 @@ impl FrontEnd {
     }
 
     /// Loads a pair of raw images.
-    pub(super) fn load(&mut self, left: RgbView<'_>, right: RgbView<'_>) -> Result<(), EstimationError> {
+    pub(super) fn load(&mut self, left: ImageView<'_>, right: ImageView<'_>) -> Result<(), EstimationError> {
         self.left.check_size(left)?;
         self.right.check_size(right)?;
         self.left.load(left, &self.hue_config, self.kernels)?;
@@ -49,7 +51,7 @@ impl FrontEnd {
     }
 
     /// Rejects a left image with a size other than the calibration's.
-    pub(super) fn check_left_size(&self, left: RgbView<'_>) -> Result<(), EstimationError> {
+    pub(super) fn check_left_size(&self, left: ImageView<'_>) -> Result<(), EstimationError> {
         self.left.check_size(left)
     }
 
@@ -96,10 +98,10 @@ impl CameraInput {
             let image = RgbImage::new(table.size().width, table.size().height);
             (table, image)
         });
-        Self { name, camera: *camera, undistortion, hue: HuePlane::default() }
+        Self { name, camera: *camera, undistortion, whole: Vec::new(), hue: HuePlane::default() }
     }
 
-    fn check_size(&self, image: RgbView<'_>) -> Result<(), EstimationError> {
+    fn check_size(&self, image: ImageView<'_>) -> Result<(), EstimationError> {
         let expected = self.camera.size();
         if image.width() == expected.width && image.height() == expected.height {
             return Ok(());
@@ -113,11 +115,11 @@ impl CameraInput {
         })
     }
 
-    fn load(&mut self, image: RgbView<'_>, config: &HueConfig, kernels: Kernels) -> Result<(), EstimationError> {
+    fn load(&mut self, image: ImageView<'_>, config: &HueConfig, kernels: Kernels) -> Result<(), EstimationError> {
         let size = ImageSize { width: image.width(), height: image.height() };
         match &mut self.undistortion {
             Some((table, undistorted)) => {
-                table.remap_rgb(image.as_raw(), size, undistorted)?;
+                table.remap_rgb(image.contiguous_rgb(&mut self.whole), size, undistorted)?;
                 self.hue.update_from_rgb(&*undistorted, config, kernels);
             }
             None => self.hue.update_from_rgb(image, config, kernels),

@@ -4,10 +4,10 @@ use nalgebra::{Point3, Vector2};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::{EstimateWarning, PlanePose, TrackEstimate};
+use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::method::{Deadline, EstimateRequest, EstimationMethod, MarkedTarget};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::{Region, RegionMask, polygon};
-use pb3dp_estimation_core::rgb_view::RgbView;
 use pb3dp_estimation_core::status::{Status, Verdict};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{ImageSize, Pinhole, Pose, StereoRig};
@@ -67,8 +67,8 @@ impl PublishedTracker {
 
     fn take_target(
         &mut self,
-        left: RgbView<'_>,
-        right: RgbView<'_>,
+        left: ImageView<'_>,
+        right: ImageView<'_>,
         MarkedTarget { region, range }: MarkedTarget<'_>,
         deadline: &mut Deadline<'_>,
     ) -> Result<TrackEstimate, EstimationError> {
@@ -103,8 +103,8 @@ impl PublishedTracker {
     fn follow(
         &mut self,
         target: &mut Target,
-        left: RgbView<'_>,
-        right: RgbView<'_>,
+        left: ImageView<'_>,
+        right: ImageView<'_>,
         motion: Option<&Pose<CamLeft, CamLeft>>,
         deadline: &mut Deadline<'_>,
     ) -> Result<TrackEstimate, EstimationError> {

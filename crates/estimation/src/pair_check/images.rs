@@ -2,7 +2,7 @@
 //! the right image.
 
 use nalgebra::{Point3, Vector2};
-use pb3dp_estimation_core::rgb_view::RgbView;
+use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_geometry::StereoRig;
 
 /// Columns and rows of a window.
@@ -30,12 +30,13 @@ pub struct Plane {
 
 impl Plane {
     /// The luminance in blocks of `factor` by `factor` pixels; an incomplete last column or row is dropped.
-    pub fn of(image: RgbView<'_>, factor: usize) -> Self {
+    pub fn of(image: ImageView<'_>, factor: usize) -> Self {
         let (full_width, full_height) = (image.width() as usize, image.height() as usize);
         let (width, height) = (full_width / factor, full_height / factor);
         let mut sums = vec![0_u32; width * height];
-        let rows = image.as_raw().chunks_exact(3 * full_width.max(1));
-        for (v, row) in rows.take(height * factor).enumerate() {
+        let mut converted = Vec::new();
+        for v in 0..height * factor {
+            let row = image.row(v as u32, &mut converted);
             let line = &mut sums[v / factor * width..][..width];
             for (sum, block) in line.iter_mut().zip(row.chunks_exact(3 * factor)) {
                 *sum += block.chunks_exact(3).map(luminance_256).sum::<u32>();
@@ -160,7 +161,7 @@ pub struct Curve {
 
 impl Images {
     /// The pair with both images reduced by an integer factor.
-    pub fn new(left: RgbView<'_>, right: RgbView<'_>, factor: usize) -> Self {
+    pub fn new(left: ImageView<'_>, right: ImageView<'_>, factor: usize) -> Self {
         let working_right = Plane::of(right, factor);
         let full = (factor > 1).then(|| [Plane::of(left, 1), Plane::of(right, 1)]);
         Self {

@@ -1,6 +1,10 @@
 //! Invalid pairs, calibrations and regions from arbitrary bytes, and the properties that must hold for them.
 //!
-//! Used by the property test `robustness.rs` and by the fuzz target in `tests/fuzz`.
+//! Used by the property test `robustness.rs` and by the fuzz targets in `tests/fuzz`.
+
+pub mod camera_memory;
+mod image_abuse;
+mod number_abuse;
 
 use image::{Rgb, RgbImage};
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
@@ -11,6 +15,11 @@ use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::frames::{CamLeft, CamRight};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
+
+pub use image_abuse::images_in_any_form_survive;
+pub use number_abuse::{
+    calibrations_with_any_numbers_survive, priors_with_any_numbers_survive, regions_with_any_numbers_survive,
+};
 
 /// Bytes as a source of choices; zeros once all bytes are used.
 struct Choices<'a>(&'a [u8]);

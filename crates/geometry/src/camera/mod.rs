@@ -167,11 +167,11 @@ impl Camera {
 
     /// Projects a point in this camera's frame (metres) to a pixel, which may be outside the image.
     ///
-    /// `None` if the point is not in front of the camera, or too far from the axis: there the distortion model folds back, and would
-    /// place the point among visible ones.
+    /// `None` if the point is not in front of the camera, has no finite pixel, or is too far from the axis: there the distortion model
+    /// folds back, and would place the point among visible ones.
     pub fn project(&self, point_in_cam: &Point3<f64>) -> Option<Vector2<f64>> {
         let xy = self.visible_normalized(point_in_cam)?;
-        Some(self.pinhole.pixel_from_normalized(&self.distort(&xy)))
+        finite(self.pinhole.pixel_from_normalized(&self.distort(&xy)))
     }
 
     /// [`Self::project`] and the derivative of the pixel with respect to the point, pixels per metre.
@@ -182,7 +182,7 @@ impl Camera {
         let mut jacobian = by_xy * xy_by_point;
         jacobian.row_mut(0).scale_mut(self.pinhole.fx);
         jacobian.row_mut(1).scale_mut(self.pinhole.fy);
-        Some((self.pinhole.pixel_from_normalized(&distorted), jacobian))
+        Some((finite(self.pinhole.pixel_from_normalized(&distorted))?, jacobian))
     }
 
     /// The ray `(x, y, 1)` through a pixel, in this camera's frame; it projects back within 1e-9 pixels.
@@ -212,4 +212,9 @@ impl Camera {
         let xy = Vector2::new(point_in_cam.x / point_in_cam.z, point_in_cam.y / point_in_cam.z);
         (xy.norm_squared() <= self.fold_radius * self.fold_radius).then_some(xy)
     }
+}
+
+/// A pixel that is a number.
+fn finite(pixel: Vector2<f64>) -> Option<Vector2<f64>> {
+    (pixel.x.is_finite() && pixel.y.is_finite()).then_some(pixel)
 }

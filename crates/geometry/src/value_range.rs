@@ -38,11 +38,16 @@ impl ValueRange {
         self.high
     }
 
+    /// The 8-bit value of a 16-bit value: the nearest one, 0 below the range and 255 above it.
+    pub fn shades(self) -> impl Fn(u16) -> u8 + Copy {
+        let scale = 255.0 / f64::from(self.high - self.low);
+        // Not `round`, which vector registers do not have. The conversion ends at 255.
+        move |value| (f64::from(value.saturating_sub(self.low)) * scale + 0.5) as u8
+    }
+
     /// The 8-bit value of each 16-bit value.
     pub fn table(self) -> Vec<u8> {
-        let scale = 255.0 / f64::from(self.high - self.low);
-        let shade = |value: u16| (f64::from(value.saturating_sub(self.low)) * scale).round().min(255.0) as u8;
-        (0..=u16::MAX).map(shade).collect()
+        (0..=u16::MAX).map(self.shades()).collect()
     }
 }
 
