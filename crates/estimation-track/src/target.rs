@@ -24,7 +24,7 @@ use super::reach::Sighting;
 use super::search::{Searcher, mirrored};
 use super::shape::Shares;
 use super::stereo_relief;
-use super::surface::Surface;
+use super::surface::{Surface, model_frame};
 use super::view::View;
 use pb3dp_estimation_core::method::{FramePrior, SurfacePoint};
 use periodic::Periodic;
@@ -195,6 +195,25 @@ impl Target {
     /// The points of the surface, with their colours in the first view.
     pub(super) fn surface_points(&self) -> Vec<SurfacePoint> {
         let (groups, view) = (&self.surface.levels[0].groups, &self.views[0].levels[0]);
+    /// Moves the frame `model` onto the plane of the refined surface, in the first pair. For a plane that was only a start value:
+    /// the refined one is more accurate, and the covariance is that of the refined one.
+    pub(super) fn settle_on_plane(&mut self, frame: &Frame<'_>) {
+        let before = self.estimate.cam_left_from_model;
+        let centre_ray = before.translation_m() / before.translation_m().z;
+        let Some(pose) = model_frame(&self.surface.plane, &centre_ray) else { return };
+        let after_from_before = pose.inverse() * before;
+        self.surface.model_from_first = pose.inverse();
+        self.surface.rebuild();
+        self.outline_in_model.iter_mut().for_each(|point| *point = after_from_before.transform_point(point));
+        self.views[0].cam_left_from_model = pose;
+        self.estimate.cam_left_from_model = pose;
+        self.motion = Motion::resting(pose);
+        if let Some(equations) = self.examine(frame, false) {
+            self.judge();
+            self.conclude(&equations, false);
+        }
+    }
+
         let lanes = groups.iter().zip(view).flat_map(|(group, view)| {
             (0..LANES).filter(|&i| group.mask.0[i] > 0.0).map(move |i| surface_point(group, view, i))
         });
