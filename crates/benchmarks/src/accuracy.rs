@@ -1,12 +1,16 @@
 //! Accuracy of the estimators on rendered scenes with known truth, compared with the Cramér-Rao bound.
 //!
-//! [`cells`] lists the configurations for single pairs and [`sequences`] those for moving targets; [`bound`] computes
-//! the Cramér-Rao bound, [`limits`] checks the required accuracy, and [`page`] writes the document.
+//! [`cells`] lists the configurations for single pairs, [`sequences`] those for moving targets, and [`ensembles`] those of
+//! many short sequences each, also with disturbed cameras; [`bound`] computes the Cramér-Rao bound, [`limits`] checks the required accuracy, and [`page`] writes the document.
 
 mod bound;
 mod cell;
 mod cells;
+mod chi_square;
+mod conditions;
 pub mod dump;
+mod ensemble_summary;
+mod ensembles;
 pub mod figures;
 mod limits;
 mod measure;
@@ -24,12 +28,15 @@ mod trial;
 
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::{Context, bail};
 use pb3dp_estimation::estimator::Method;
 use serde_json::json;
 
 use crate::common::circumstances::Circumstances;
+use ensemble_summary::EnsembleSummary;
+use ensembles::EnsembleSpec;
 use limits::{Check, Standing};
 use measure::Options;
 use page::Findings;
@@ -92,6 +99,13 @@ impl Args {
         !self.quick && self.only.is_empty() && self.methods.is_empty()
     }
 
+    fn ensembles(&self) -> Vec<EnsembleSpec> {
+        // The published method has no covariance, and does not follow these motions.
+        let wanted = ensembles::all().into_iter().filter(|spec| self.wants(&spec.name));
+        let wanted = wanted.filter(|_| self.methods().contains(&Method::Direct));
+        if self.quick { wanted.map(EnsembleSpec::quick).collect() } else { wanted.collect() }
+    }
+
     fn sequences(&self) -> Vec<SequenceSpec> {
         let all = sequences::all().into_iter().chain(self.long.then(sequences::long));
         let wanted = all.filter(|sequence| self.wants(&sequence.name));
@@ -110,14 +124,15 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         quick: args.quick,
     };
     let cells: Vec<_> = cells::all().into_iter().filter(|cell| args.wants(&cell.name)).collect();
-    let specs = args.sequences();
-    if cells.is_empty() && specs.is_empty() {
-        bail!("no configuration or sequence has a name with {}", args.only.join(" or "));
+    let (specs, ensembles) = (args.sequences(), args.ensembles());
+    if cells.is_empty() && specs.is_empty() && ensembles.is_empty() {
+        bail!("no configuration, sequence or ensemble has a name with {}", args.only.join(" or "));
     }
     let summaries = measure_cells(&cells, &options, args.json)?;
     let sequences = measure_sequences(&specs, &options, args.json)?;
-    let checks = limits::checks(&summaries, &sequences);
-    let findings = Findings { cells, summaries, sequences, checks, seed: args.seed, quick: args.quick };
+    let ensembles = measure_ensembles(&ensembles, &options, args.json)?;
+    let checks = limits::checks(&summaries, &sequences, &ensembles);
+    let findings = Findings { cells, summaries, sequences, ensembles, checks, seed: args.seed, quick: args.quick };
     let circumstances = Circumstances::of(&args.root);
     keep(&args.root, &findings, &circumstances)?;
     if args.is_full() && !args.no_docs {
@@ -185,6 +200,59 @@ fn measure_sequences(specs: &[SequenceSpec], options: &Options, as_json: bool) -
     Ok(found.into_iter().flat_map(|(_, rows)| rows).collect())
 }
 
+/// Runs the ensembles one after the other, and the sequences of each on all threads.
+fn measure_ensembles(specs: &[EnsembleSpec], options: &Options, as_json: bool) -> anyhow::Result<Vec<EnsembleSummary>> {
+    if !specs.is_empty() && !as_json {
+        println!("\n{}", ensemble_summary::line(&ensemble_summary::HEADINGS.map(str::to_owned)));
+    }
+    let mut found = Vec::new();
+    for spec in specs {
+        let runs = in_parallel(spec.sequences, options.threads, |index| {
+            let scenes = &mut SceneStore::default();
+            track::follow(&spec.member(options.seed, index), &[Method::Direct], options.seed, scenes)
+        });
+        let summary = EnsembleSummary::of(spec, Method::Direct.name(), &runs.with_context(|| spec.name.clone())?);
+        if as_json {
+            println!("{}", summary.to_json());
+        } else {
+            println!("{}", ensemble_summary::line(&ensemble_summary::row(&summary)));
+        }
+        found.push(summary);
+    }
+    Ok(found)
+}
+
+/// Results of `work` for the numbers below `count`, in their order; the first error of any thread.
+fn in_parallel<T: Send>(
+    count: usize,
+    threads: usize,
+    work: impl Fn(usize) -> anyhow::Result<T> + Sync,
+) -> anyhow::Result<Vec<T>> {
+    let (next, results) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+    let run = || -> anyhow::Result<()> {
+        loop {
+            let index = next.fetch_add(1, Ordering::Relaxed);
+            if index >= count {
+                return Ok(());
+            }
+            let result = work(index)?;
+            if let Ok(mut results) = results.lock() {
+                results.push((index, result));
+            }
+        }
+    };
+    std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..threads.max(1)).map(|_| scope.spawn(run)).collect();
+        threads.into_iter().try_for_each(|thread| match thread.join() {
+            Ok(result) => result,
+            Err(panic) => std::panic::resume_unwind(panic),
+        })
+    })?;
+    let mut results = results.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    results.sort_by_key(|(index, _)| *index);
+    Ok(results.into_iter().map(|(_, result)| result).collect())
+}
+
 /// Saves the results as JSON.
 fn keep(root: &Path, findings: &Findings, circumstances: &Circumstances) -> anyhow::Result<()> {
     let checks: Vec<_> = findings
@@ -202,6 +270,7 @@ fn keep(root: &Path, findings: &Findings, circumstances: &Circumstances) -> anyh
         "bench": "accuracy", "where": circumstances.to_json(), "seed": findings.seed, "quick": findings.quick,
         "pairs": findings.summaries.iter().map(Summary::to_json).collect::<Vec<_>>(),
         "sequences": findings.sequences.iter().map(SequenceSummary::to_json).collect::<Vec<_>>(),
+        "ensembles": findings.ensembles.iter().map(EnsembleSummary::to_json).collect::<Vec<_>>(),
         "limits": checks,
     });
     write(&root.join(KEPT), &format!("{kept:#}\n"))

@@ -10,8 +10,15 @@ use pb3dp_estimation_direct::image_plane::PixelWindow;
 /// mm were captured from 80 mm away with four levels, from 50 mm with one.
 pub(super) const LEVELS: usize = 4;
 
-/// Y, A, B' (see [`colour_planes`](pb3dp_estimation_direct::colour_planes)) and the share of saturated pixels.
+/// Y, A, B' (see [`colour_planes`](pb3dp_estimation_direct::colour_planes)) and the saturation: the share of saturated pixels, or
+/// the colours of [`CLIPPED`] if it was sampled at full resolution.
 pub(super) type Texel = [f32; 4];
+
+/// Channels: Y, A, B'.
+pub(super) const CHANNELS: usize = 3;
+
+/// Numbers of saturated red, green and blue; those of several colours are added.
+pub(super) const CLIPPED: [u8; 3] = [1, 2, 4];
 
 /// One level.
 #[derive(Clone, Debug, Default)]
@@ -245,6 +252,14 @@ fn halve_row_kernel(line: &[Texel], out: &mut [Texel]) {
     }
 }
 
+/// The texel at a raw pixel of a level, for storing views.
+pub(super) fn texel_at(images: &CameraImages, level: usize, pixel: [f32; 2]) -> Option<Texel> {
+    let origin_px = images.origin_px();
+    let factor = 1.0 / (1_u32 << level) as f32;
+    let [x, y] = std::array::from_fn(|i| (pixel[i] - origin_px[i] + 0.5) * factor - 0.5);
+    images.sample(level, x, y)
+}
+
 /// The texel at a sub-pixel position, smoothed by a cubic B-spline (standard deviation 0.58 px in each direction, independent
 /// of the sub-pixel position); `None` if the kernel would extend beyond the border.
 ///
@@ -290,7 +305,7 @@ fn cubic_rgb(plane: &RgbPlane, x: f32, y: f32) -> Option<Texel> {
     }
     let mut saturated = 0;
     for (i, brightest) in brightest.iter().enumerate() {
-        saturated |= u8::from(i < 12 && *brightest >= SATURATED_FROM);
+        saturated |= CLIPPED[i % 3] * u8::from(i < 12 && *brightest >= SATURATED_FROM);
     }
     let rgb = std::array::from_fn(|c| {
         (mixed[c] * columns[0] + mixed[3 + c] * columns[1]) + (mixed[6 + c] * columns[2] + mixed[9 + c] * columns[3])

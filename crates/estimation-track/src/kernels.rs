@@ -2,7 +2,10 @@
 
 use pb3dp_estimation_core::wide::{LANES, wide};
 
-use super::images::{CameraImages, Texel};
+use super::clipped::{any_clipped, leave_out, leave_out_of_values, one_colour, unclipped};
+pub(super) use super::correlation::{Correlation, MomentSums, Moments};
+pub(super) use super::images::CHANNELS;
+use super::images::CameraImages;
 use super::lanes::{Lanes, each_lane};
 
 /// Unknowns without the gains: the motion `[rho; phi]` of the model in its own frame (metres, radians), the row offset of the
@@ -14,8 +17,6 @@ pub(super) const ROW: usize = 6;
 pub(super) const SHAPE: usize = 7;
 /// Number of entries of the upper triangle.
 pub(super) const TRIANGLE: usize = UNKNOWNS * (UNKNOWNS + 1) / 2;
-/// Channels: Y, A, B'.
-pub(super) const CHANNELS: usize = 3;
 /// Residuals per point and channel: stored view against left, stored view against right, left against right.
 pub(super) const TERMS: usize = 3;
 /// Gain and offset of the left and the right image: indices in a group of four.
@@ -74,6 +75,8 @@ pub(super) struct SeenGroup {
     pub(super) value: [Lanes; CHANNELS],
     /// 1 if the point is visible in the image.
     pub(super) valid: Lanes,
+    /// The saturated colour of a visible point (`images::CLIPPED`), or 0.
+    pub(super) clipped: Lanes,
 }
 
 /// Residuals and weights of a group.
@@ -176,8 +179,12 @@ fn correlate_kernel(
                 None => seen[side].valid * view.valid,
             };
             counts[side] += weight;
+            let (mut of_view, mut of_image) = (view.value, seen[side].value);
+            if any_clipped(clipped(seen)) {
+                leave_out_of_values(&seen[side].clipped, &mut of_view, &mut of_image);
+            }
             for c in 0..CHANNELS {
-                let (a, b) = (view.value[c], seen[side].value[c]);
+                let (a, b) = (of_view[c], of_image[c]);
                 let (wa, wb) = (weight * a, weight * b);
                 let sums = &mut sums[side][c];
                 sums.view += wa;
@@ -195,6 +202,7 @@ fn correlate_kernel(
 }
 
 #[inline(always)]
+#[allow(clippy::needless_range_loop, reason = "channels index several arrays")]
 fn score_kernel(
     surface: &[SurfaceGroup],
     seen: &[[SeenGroup; 2]],
@@ -207,10 +215,11 @@ fn score_kernel(
     for ((((surface, seen), view), residual), score) in groups {
         let mut slope = [Lanes::ZERO; UNKNOWNS];
         let mut by_depth = [Lanes::ZERO; UNKNOWNS];
+        let gradient = unclipped(clipped(seen), &view.gradient);
         for c in 0..CHANNELS {
             let [left, right, pair] = pair_weights(residual, weights, c);
-            let in_left = derivatives(surface, &seen[0], &view.gradient[c], 0);
-            let in_right = derivatives(surface, &seen[1], &view.gradient[c], 1);
+            let in_left = derivatives(surface, &seen[0], &gradient[c], 0);
+            let in_right = derivatives(surface, &seen[1], &gradient[c], 1);
             let (r_left, r_right) = (residual.residual[0][c], residual.residual[1][c]);
             let to_left = (left + pair) * r_left - pair * r_right;
             let to_right = (right + pair) * r_right - pair * r_left;
@@ -270,6 +279,12 @@ fn project_kernel(
     }
 }
 
+/// The saturated colours of both images.
+#[inline(always)]
+fn clipped(seen: &[SeenGroup; 2]) -> [&Lanes; 2] {
+    [&seen[0].clipped, &seen[1].clipped]
+}
+
 #[inline(always)]
 fn dot(a: &[Lanes; 3], b: &[Lanes; 3]) -> Lanes {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
@@ -278,7 +293,7 @@ fn dot(a: &[Lanes; 3], b: &[Lanes; 3]) -> Lanes {
 /// Smallest ratio of a surface patch's area to its area in the first view; patches seen more edge-on are not used. Chosen
 /// by hand, not varied: for a patch that faced the camera, 85 degrees.
 const EDGE_ON: f32 = 0.08;
-/// Largest share of saturated pixels in a usable sample. Chosen by hand, not varied: with more, clipped values count.
+/// Largest share of saturated pixels in a sample of three colours. Chosen by hand, not varied: with more, clipped values count.
 const SATURATED_MAX: f32 = 0.15;
 
 #[inline(always)]
@@ -287,6 +302,7 @@ fn sample_kernel(images: &CameraImages, level: usize, seen: &mut [[SeenGroup; 2]
     let factor = 1.0 / (1_u32 << level) as f32;
     for seen in seen {
         let seen = &mut seen[side];
+        seen.clipped = Lanes::ZERO;
         for i in 0..LANES {
             if seen.valid.0[i] == 0.0 {
                 continue;
@@ -294,21 +310,19 @@ fn sample_kernel(images: &CameraImages, level: usize, seen: &mut [[SeenGroup; 2]
             let x = (seen.pixel[0].0[i] - origin_px[0] + 0.5) * factor - 0.5;
             let y = (seen.pixel[1].0[i] - origin_px[1] + 0.5) * factor - 0.5;
             match images.sample(level, x, y) {
-                Some([luminance, a, b, saturated]) if saturated < SATURATED_MAX => {
-                    (seen.value[0].0[i], seen.value[1].0[i], seen.value[2].0[i]) = (luminance, a, b);
+                Some(texel) => {
+                    (0..CHANNELS).for_each(|c| seen.value[c].0[i] = texel[c]);
+                    let is_clipped = texel[3] >= SATURATED_MAX;
+                    match one_colour(texel, level) {
+                        Some(colour) if is_clipped => seen.clipped.0[i] = f32::from(colour),
+                        None if is_clipped => seen.valid.0[i] = 0.0,
+                        _ => {}
+                    }
                 }
-                _ => seen.valid.0[i] = 0.0,
+                None => seen.valid.0[i] = 0.0,
             }
         }
     }
-}
-
-/// The texel at a raw pixel of a level, for storing views.
-pub(super) fn texel_at(images: &CameraImages, level: usize, pixel: [f32; 2]) -> Option<Texel> {
-    let origin_px = images.origin_px();
-    let factor = 1.0 / (1_u32 << level) as f32;
-    let [x, y] = std::array::from_fn(|i| (pixel[i] - origin_px[i] + 0.5) * factor - 0.5);
-    images.sample(level, x, y)
 }
 
 /// Residual limit in standard deviations (root mean square over the channels); larger residuals have no weight. Chosen by
@@ -337,6 +351,8 @@ fn weigh_kernel(
         }
         let valid = [seen[0].valid * view.valid, seen[1].valid * view.valid];
         let valid = [valid[0], valid[1], valid[0] * valid[1]];
+        let clipped = clipped(seen);
+        let scale = if any_clipped(clipped) { leave_out(clipped, &mut out.residual) } else { Lanes::splat(1.0) };
         for term in 0..TERMS {
             let mut square = [Lanes::ZERO; CHANNELS];
             let mut distance = Lanes::ZERO;
@@ -345,7 +361,7 @@ fn weigh_kernel(
                     0 | 1 => out.residual[term][c],
                     _ => out.residual[1][c] - out.residual[0][c],
                 };
-                square[c] = r * r;
+                square[c] = r * r * scale;
                 distance += square[c].scale(inverse[term][c]);
             }
             let near = (Lanes::splat(1.0) - distance).max(0.0);
@@ -442,6 +458,7 @@ pub(super) fn derivatives(
 }
 
 #[inline(always)]
+#[allow(clippy::needless_range_loop, reason = "channels index several arrays")]
 fn accumulate_kernel(
     surface: &[SurfaceGroup],
     seen: &[[SeenGroup; 2]],
@@ -453,11 +470,12 @@ fn accumulate_kernel(
 ) {
     let groups = surface.iter().zip(seen).zip(view).zip(residuals).zip(patches);
     for ((((surface, seen), view), residual), patch) in groups {
+        let gradient = unclipped(clipped(seen), &view.gradient);
         for c in 0..CHANNELS {
             let [left, right, pair] = pair_weights(residual, weights, c);
             let (ll, rr) = (left + pair, right + pair);
-            let in_left = derivatives(surface, &seen[0], &view.gradient[c], 0);
-            let in_right = derivatives(surface, &seen[1], &view.gradient[c], 1);
+            let in_left = derivatives(surface, &seen[0], &gradient[c], 0);
+            let in_right = derivatives(surface, &seen[1], &gradient[c], 1);
             let (r_left, r_right) = (residual.residual[0][c], residual.residual[1][c]);
             let value = view.value[c];
             let weighted = [ll * r_left - pair * r_right, rr * r_right - pair * r_left];
@@ -507,85 +525,3 @@ fn accumulate_kernel(
 #[cfg(test)]
 #[path = "kernels_tests.rs"]
 mod tests;
-
-/// Sums for a correlation between a view and an image.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Correlation {
-    count: f64,
-    sums: [MomentSums<f64>; CHANNELS],
-}
-
-/// Weighted sums of the values of a view and of an image.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct MomentSums<T> {
-    pub(super) view: T,
-    pub(super) image: T,
-    pub(super) view_squared: T,
-    pub(super) image_squared: T,
-    pub(super) product: T,
-}
-
-impl MomentSums<Lanes> {
-    #[inline(always)]
-    fn folded(&self) -> MomentSums<f64> {
-        let Self { view, image, view_squared, image_squared, product } = self;
-        MomentSums {
-            view: f64::from(view.sum()),
-            image: f64::from(image.sum()),
-            view_squared: f64::from(view_squared.sum()),
-            image_squared: f64::from(image_squared.sum()),
-            product: f64::from(product.sum()),
-        }
-    }
-}
-
-/// Variances of view and image and their covariance, summed over the channels, squared grey levels.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Moments {
-    pub(super) view: f64,
-    pub(super) image: f64,
-    pub(super) covariance: f64,
-}
-
-impl Correlation {
-    /// Adds a point with a weight.
-    pub(super) fn add(&mut self, weight: f64, view: [f32; CHANNELS], image: [f32; CHANNELS]) {
-        self.count += weight;
-        for ((sums, a), b) in self.sums.iter_mut().zip(view).zip(image) {
-            let (a, b) = (f64::from(a), f64::from(b));
-            sums.view += weight * a;
-            sums.image += weight * b;
-            sums.view_squared += weight * (a * a);
-            sums.image_squared += weight * (b * b);
-            sums.product += weight * (a * b);
-        }
-    }
-
-    /// The weighted number of points.
-    pub(super) fn count(&self) -> f64 {
-        self.count
-    }
-
-    pub(super) fn moments(&self) -> Moments {
-        let n = self.count.max(1e-9);
-        let mut moments = Moments::default();
-        for MomentSums { view, image, view_squared, image_squared, product } in self.sums {
-            moments.view += view_squared / n - view * view / (n * n);
-            moments.image += image_squared / n - image * image / (n * n);
-            moments.covariance += product / n - view * image / (n * n);
-        }
-        moments
-    }
-
-    /// Normalised cross-correlation over all channels, -1 to 1; 0 if there is no variation.
-    pub(super) fn value(&self) -> f64 {
-        let Moments { view, image, covariance } = self.moments();
-        if view > 1e-9 && image > 1e-9 { (covariance / (view * image).sqrt()).clamp(-1.0, 1.0) } else { 0.0 }
-    }
-
-    /// Negative log likelihood of the image given the view, for unknown gain, offset and noise.
-    pub(super) fn cost(&self) -> f64 {
-        let value = self.value().max(0.0);
-        0.5 * self.count * (1.0 - value * value + 0.01).ln()
-    }
-}

@@ -17,7 +17,9 @@
 
 mod align;
 pub mod cells;
+mod clipped;
 mod config;
+mod correlation;
 mod dense;
 mod distinct;
 mod export;

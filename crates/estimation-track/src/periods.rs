@@ -8,8 +8,8 @@ use pb3dp_estimation_core::region::RegionMask;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Camera, Pose};
 
-use super::images::{CameraImages, LEVELS};
-use super::kernels::{Correlation, texel_at};
+use super::images::{CameraImages, LEVELS, texel_at};
+use super::kernels::Correlation;
 
 /// Largest number of periods. A lattice has two shortest ones, their sum and their difference.
 const PERIODS_MAX: usize = 4;

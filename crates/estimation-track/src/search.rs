@@ -7,8 +7,8 @@ use pb3dp_estimation_core::wide::{LANES, wide};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Camera, Pose, StereoRig, so3};
 
-use super::images::{CameraImages, LEVELS, Texel};
-use super::kernels::{CHANNELS, SurfaceGroup, ViewGroup, texel_at};
+use super::images::{CameraImages, LEVELS, Texel, texel_at};
+use super::kernels::{CHANNELS, SurfaceGroup, ViewGroup};
 use super::view::View;
 use crate::kernels::{Correlation, MomentSums};
 

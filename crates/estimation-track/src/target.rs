@@ -24,7 +24,7 @@ use super::reach::Sighting;
 use super::search::{Searcher, mirrored};
 use super::shape::Shares;
 use super::stereo_relief;
-use super::surface::Surface;
+use super::surface::{Surface, model_frame};
 use super::view::View;
 use pb3dp_estimation_core::method::{FramePrior, SurfacePoint};
 use periodic::Periodic;
@@ -52,6 +52,9 @@ const VISIBLE_MIN: f64 = 0.35;
 /// not varied: with more, more frames are aligned twice; with less, worse frames are learned from.
 const WELL_CORRELATED: f64 = 0.96;
 const WELL_FITTING: f64 = 0.88;
+/// Largest share of points with a saturated colour in a view that is kept. Chosen by hand, not varied: with more, views lack
+/// points; with less, a target with a few bright spots gets no new views.
+const CLIPPED_MAX: f32 = 0.1;
 /// Factor by which the limits are stricter for a target that is found again. Chosen by hand, not varied: with less, other
 /// objects are accepted; with more, a hidden target stays lost longer.
 const FOUND_AGAIN_STRICTER: f64 = 1.25;
@@ -190,6 +193,25 @@ impl Target {
     /// Whether the surface of the first pair is curved.
     pub(super) fn is_curved(&self) -> bool {
         is_curved(&self.surface, self.first_pair())
+    }
+
+    /// Moves the frame `model` onto the plane of the refined surface, in the first pair. For a plane that was only a start value:
+    /// the refined one is more accurate, and the covariance is that of the refined one.
+    pub(super) fn settle_on_plane(&mut self, frame: &Frame<'_>) {
+        let before = self.estimate.cam_left_from_model;
+        let centre_ray = before.translation_m() / before.translation_m().z;
+        let Some(pose) = model_frame(&self.surface.plane, &centre_ray) else { return };
+        let after_from_before = pose.inverse() * before;
+        self.surface.model_from_first = pose.inverse();
+        self.surface.rebuild();
+        self.outline_in_model.iter_mut().for_each(|point| *point = after_from_before.transform_point(point));
+        self.views[0].cam_left_from_model = pose;
+        self.estimate.cam_left_from_model = pose;
+        self.motion = Motion::resting(pose);
+        if let Some(equations) = self.examine(frame, false) {
+            self.judge();
+            self.conclude(&equations, false);
+        }
     }
 
     /// The points of the surface, with their colours in the first view.
@@ -391,9 +413,20 @@ impl Target {
         }
         (self.lost_frames, self.away_s) = (0, 0.0);
         self.views[self.view].last_used = self.frame;
-        if self.fits_well() && !self.in_doubt() && self.nearest_view(&pose, frame.config).1 > 1.0 {
+        let is_good = self.fits_well() && !self.in_doubt() && !self.is_overexposed();
+        if is_good && self.nearest_view(&pose, frame.config).1 > 1.0 {
             self.keep_view(frame, true);
         }
+    }
+
+    /// Whether so much of the left image is saturated that a view of it would lack many points.
+    fn is_overexposed(&self) -> bool {
+        let (mut clipped, mut valid) = (0.0, 0.0);
+        for [left, _] in &self.aligner.seen[0] {
+            valid += left.valid.sum();
+            clipped += (0..LANES).filter(|&i| left.valid.0[i] > 0.0 && left.clipped.0[i] > 0.0).count() as f32;
+        }
+        clipped > CLIPPED_MAX * valid
     }
 
     /// Stores the current left image as a view; if there is no free slot, it replaces the least recently used view.

@@ -219,6 +219,7 @@ impl DirectTracker {
         };
         let pixels_whole = mask.area_px();
         let mut pixels = [mask, inner];
+        let mut is_part = false;
         for round in 0..PARTS_MAX {
             let Some(part) = target.largest_part(round > 0) else { break };
             pixels = part.pixels(&target.surface.relief, &pixels, self.config.erosion_px / 2);
@@ -230,6 +231,11 @@ impl DirectTracker {
                 return Ok(TrackEstimate { reason, ..blank() });
             };
             target = next;
+            is_part = true;
+        }
+        if is_part && !target.is_curved() {
+            // The part's plane was fitted to a relief that spans several surfaces.
+            target.settle_on_plane(&Frame { images: &self.images, rig: &self.rig, config: &self.config });
         }
         self.load_whole(left, right);
         let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };

@@ -4,8 +4,8 @@ use pb3dp_estimation_core::wide::LANES;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Model};
 
-use super::images::{CameraImages, LEVELS};
-use super::kernels::{ResidualGroup, SeenGroup, ViewGroup, texel_at};
+use super::images::{CameraImages, LEVELS, texel_at};
+use super::kernels::{ResidualGroup, SeenGroup, ViewGroup};
 
 /// The surface's channels in the left image of one frame.
 #[derive(Clone, Debug)]

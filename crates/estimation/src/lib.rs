@@ -1,11 +1,13 @@
 //! Projection-based 3D perception: pose of an unknown object from one stereo pair.
 //!
 //! Contents: estimators and trackers [by the name of their method](estimator), planning of a stereo rig's accuracy
-//! ([`rig_plan`]), and a check of images against their calibration ([`pair_check`]).
+//! ([`rig_plan`]), a check of images against their calibration ([`pair_check`]), and the share of an uncertain calibration in the
+//! covariance of a pose ([`calibration_term`]).
 //!
 //! This crate works on images, calibration and geometry. It uses no file, clock, thread or environment; a caller that needs
 //! threads distributes the work itself.
 
+pub mod calibration_term;
 pub mod estimator;
 pub mod pair_check;
 pub mod rig_plan;

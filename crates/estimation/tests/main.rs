@@ -3,6 +3,7 @@
 
 #[path = "support/abuse.rs"]
 mod abuse;
+mod calibration_term;
 mod common;
 mod deadline;
 mod direct_estimate;

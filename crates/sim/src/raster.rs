@@ -5,6 +5,7 @@
 //! sampled sixteen times. The same scene, poses, seed and frame index give the same bytes on every machine and in any order.
 
 mod coverage;
+mod exposure;
 mod fine;
 mod rendered_camera;
 mod shade;
@@ -18,13 +19,14 @@ use pb3dp_computing::wide;
 use pb3dp_geometry::{CameraError, ImageSize, StereoRig};
 
 use self::coverage::EdgePixels;
+pub use self::exposure::{Exposure, Shutter};
 use self::rendered_camera::RenderedCamera;
 use self::shade::{RUN_MAX, Scratch, shade_run};
 use self::triangle::ScreenTriangle;
 use self::view::View;
 use self::visibility::{NOTHING, TRIANGLE_BITS, Visibility, triangle_index};
 use crate::scene::{Scene, ScenePoses};
-use crate::sensor::{NoiseKey, SensorConfig, SensorError};
+use crate::sensor::{CameraResponse, NoiseKey, SensorConfig, SensorError};
 use crate::targets::part::{SceneObject, ScenePart};
 use crate::wide::kernels;
 
@@ -58,6 +60,14 @@ pub enum RenderError {
     /// An exposure without poses.
     #[error("the exposure has no poses; at least one is needed")]
     NoPoses,
+    /// A rolling shutter whose last row does not follow its first one.
+    #[error("the rolling shutter ends at row {last}, but begins at row {first}; set a later row")]
+    Rows {
+        /// Row of the first moment.
+        first: i32,
+        /// Row of the last moment.
+        last: i32,
+    },
 }
 
 /// Exact ground truth of the left camera, per pixel centre.
@@ -161,7 +171,7 @@ impl StereoRenderer {
     ///
     /// `frame_index` selects the noise: use a new one for every pair. The images are resized and overwritten.
     pub fn render_pair(&mut self, poses: &ScenePoses, frame_index: u64, left: &mut RgbImage, right: &mut RgbImage) {
-        self.expose(std::slice::from_ref(poses), frame_index, left, right);
+        self.expose([Exposure::global(std::slice::from_ref(poses)); 2], frame_index, left, right);
     }
 
     /// Renders one pair with motion blur: the mean of the light at several times during the exposure.
@@ -175,19 +185,44 @@ impl StereoRenderer {
         left: &mut RgbImage,
         right: &mut RgbImage,
     ) -> Result<(), RenderError> {
-        if moments.is_empty() {
-            return Err(RenderError::NoPoses);
-        }
-        self.expose(moments, frame_index, left, right);
+        self.render_exposures([Exposure::global(moments); 2], frame_index, left, right)
+    }
+
+    /// Renders one pair whose cameras, left and right, expose at their own moments: cameras that are not synchronous, or
+    /// that read row after row.
+    ///
+    /// # Errors
+    /// A camera without poses, or a rolling shutter with rows in the wrong order.
+    pub fn render_exposures(
+        &mut self,
+        exposures: [Exposure<'_>; 2],
+        frame_index: u64,
+        left: &mut RgbImage,
+        right: &mut RgbImage,
+    ) -> Result<(), RenderError> {
+        exposures.iter().try_for_each(Exposure::check)?;
+        self.expose(exposures, frame_index, left, right);
         Ok(())
     }
 
-    fn expose(&mut self, moments: &[ScenePoses], frame_index: u64, left: &mut RgbImage, right: &mut RgbImage) {
+    /// Changes the responses of the cameras, left and right, for the following pairs.
+    ///
+    /// # Errors
+    /// A number out of its range.
+    pub fn set_responses(&mut self, [left, right]: [CameraResponse; 2]) -> Result<(), SensorError> {
+        SensorConfig { left, right, ..SensorConfig::IDEAL }.validate()?;
+        for (camera, response) in self.cameras.iter_mut().zip([left, right]) {
+            camera.set_response(&response);
+        }
+        Ok(())
+    }
+
+    fn expose(&mut self, exposures: [Exposure<'_>; 2], frame_index: u64, left: &mut RgbImage, right: &mut RgbImage) {
         let (scene, size, seed) = (&self.scene, self.rig.left().size(), self.seed);
         let [left_side, right_side] = &mut self.cameras;
         let key = |side| NoiseKey { seed, frame_index, side };
-        (self.run_both)(&mut || left_side.expose(scene, moments, &key(0), size, left), &mut || {
-            right_side.expose(scene, moments, &key(1), size, right);
+        (self.run_both)(&mut || left_side.expose(scene, &exposures[0], &key(0), size, left), &mut || {
+            right_side.expose(scene, &exposures[1], &key(1), size, right);
         });
     }
 

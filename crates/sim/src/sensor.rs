@@ -150,16 +150,21 @@ pub(crate) struct Developer {
 
 impl Developer {
     pub(crate) fn new(config: &SensorConfig, response: &CameraResponse, width: usize) -> Self {
-        let scale = response.gain.map(|gain| (gain * response.exposure / 256.0) as f32);
+        let (scale, offset) = scale_and_offset(response);
         Self {
             scale,
-            offset: response.offset_grey.map(|offset| offset as f32),
+            offset,
             read_variance: (config.read_noise_grey * config.read_noise_grey) as f32,
             shot_variance: config.shot_noise_grey as f32,
             blur_weight: (config.lens_blur_px * config.lens_blur_px * 0.5 * 65536.0).round() as u32,
             row: vec![0; 3 * (width + 2)],
             blurred: vec![0; 3 * width],
         }
+    }
+
+    /// Changes the response.
+    pub(crate) fn set_response(&mut self, response: &CameraResponse) {
+        (self.scale, self.offset) = scale_and_offset(response);
     }
 
     /// Defocuses the light of a whole image: standard deviation `sigma_px`, in addition to the blur of the sensor's lens. `light`
@@ -241,6 +246,12 @@ impl Developer {
 
 wide! {
     fn develop(developer: &mut Developer, light: &[u16], key: &NoiseKey, image: &mut [u8]) = Developer::develop_kernel;
+}
+
+/// Factors on light in 256ths of a grey level, and offsets.
+fn scale_and_offset(response: &CameraResponse) -> ([f32; 3], [f32; 3]) {
+    let scale = response.gain.map(|gain| (gain * response.exposure / 256.0) as f32);
+    (scale, response.offset_grey.map(|offset| offset as f32))
 }
 
 /// Blurs an image whose rows have `stride` values with a standard deviation `sigma_px`.

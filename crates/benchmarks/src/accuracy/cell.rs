@@ -54,6 +54,43 @@ pub enum Light {
     Glossy,
 }
 
+/// The condition of both cameras.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Condition {
+    /// Both cameras expose one moment, always equally long.
+    #[default]
+    Undisturbed,
+    /// The exposure changes at every sixth frame: normal, longer, normal, shorter.
+    ExposureSteps {
+        /// Factor of the longer exposure; the shorter one is divided by it.
+        factor: f64,
+        /// Only the right camera changes; otherwise both do.
+        only_right: bool,
+    },
+    /// An exposure of this duration.
+    Blur {
+        /// Duration, seconds.
+        exposure_s: f64,
+    },
+    /// The right camera exposes later than the left one.
+    Skew {
+        /// Delay, seconds.
+        delay_s: f64,
+    },
+    /// Both cameras read row after row. The time of a frame is that at which the row of the target's origin is read.
+    RollingShutter {
+        /// Time to read all rows, seconds.
+        readout_s: f64,
+    },
+}
+
+impl Condition {
+    /// Whether a frame is rendered from several moments.
+    pub fn has_moments(self) -> bool {
+        matches!(self, Self::Blur { .. } | Self::RollingShutter { .. })
+    }
+}
+
 /// The region that the operator marks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RegionKind {

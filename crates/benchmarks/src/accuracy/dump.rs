@@ -88,7 +88,7 @@ fn dump_sequence(spec: &SequenceSpec, args: &Args) -> anyhow::Result<()> {
     let mut writer = SequenceWriter::create(&args.out, &frames.rig, draft)?;
     let (mut left, mut right) = (RgbImage::new(1, 1), RgbImage::new(1, 1));
     for frame in 0..args.poses.unwrap_or(spec.frames) {
-        frames.render(frame, &mut left, &mut right);
+        frames.render(frame, &mut left, &mut right)?;
         writer.push(WrittenFrame {
             left: &left,
             right: &right,

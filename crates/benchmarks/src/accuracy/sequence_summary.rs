@@ -19,12 +19,34 @@ pub struct Tracked {
     pub status: Status,
     /// Its pose.
     pub pose: Option<Pose<CamLeft, Model>>,
-    /// Squared error of the pose, normalised by the covariance of the tracker, over its expected value 6.
+    /// Squared error of the pose, normalised by the covariance of the tracker, over its expected value 6. On a relief the
+    /// first answer is the definition of the model, so this is the error of the motion.
     pub normalised_error: Option<f64>,
+    /// The same for the motion since the first answer; `None` in the first frame.
+    pub normalised_motion_error: Option<f64>,
     /// Whether the rotation about the normal is measured; if not, the direction of the normal is judged instead.
     pub turn_observed: bool,
     /// CPU time, milliseconds.
     pub cpu_millis: f64,
+}
+
+impl Tracked {
+    /// The answer of a tracker that failed.
+    pub fn without_answer(cpu_millis: f64) -> Self {
+        Self {
+            status: Status::Error,
+            pose: None,
+            normalised_error: None,
+            normalised_motion_error: None,
+            turn_observed: false,
+            cpu_millis,
+        }
+    }
+
+    /// The pose, if it is confident.
+    pub fn sure_pose(&self) -> Option<Pose<CamLeft, Model>> {
+        self.pose.filter(|_| self.status.depth_is_sure())
+    }
 }
 
 /// Row of a table for one method on one sequence; metres and radians. Errors are those of the motion since the first
@@ -68,7 +90,7 @@ pub struct SequenceSummary {
 impl SequenceSummary {
     /// Statistics of one method's answers; `truth` is the pose of any frame fixed to the body.
     pub fn of(spec: &SequenceSpec, method: &'static str, tracked: &[Tracked], truth: &[Pose<CamLeft, Model>]) -> Self {
-        let sure: Vec<_> = tracked.iter().map(|t| t.pose.filter(|_| t.status.depth_is_sure())).collect();
+        let sure: Vec<_> = tracked.iter().map(Tracked::sure_pose).collect();
         let errors = compare_motion(&sure, truth);
         let whole = tracked.iter().any(|t| t.turn_observed);
         let of = |value: &dyn Fn(&MotionErrors) -> f64| {
@@ -122,8 +144,8 @@ impl SequenceSummary {
     }
 }
 
-/// `whole`: the rotation about the normal counts.
-fn is_right(errors: &MotionErrors, whole: bool) -> bool {
+/// Whether a pose is right; `whole`: the rotation about the normal counts.
+pub fn is_right(errors: &MotionErrors, whole: bool) -> bool {
     let angle = if whole { errors.rotation_rad.norm() } else { errors.tilt_rad };
     errors.translation_m.norm() <= TOLERANCE.0 && angle <= TOLERANCE.1
 }
@@ -245,7 +267,14 @@ mod tests {
                     120 => (Status::Ambiguous, Some(truth[frame])),
                     _ => (Status::Ok, Some(moved(&truth[frame], if frame % 2 == 0 { 0.0 } else { 0.1 }))),
                 };
-                Tracked { status, pose, normalised_error: Some(1.5), turn_observed: true, cpu_millis: 1.0 }
+                Tracked {
+                    status,
+                    pose,
+                    normalised_error: Some(1.5),
+                    normalised_motion_error: None,
+                    turn_observed: true,
+                    cpu_millis: 1.0,
+                }
             })
             .collect();
         let summary = SequenceSummary::of(&spec, "some", &tracked, &truth);
@@ -277,6 +306,7 @@ mod tests {
                     status: Status::Ok,
                     pose: Some(pose),
                     normalised_error: None,
+                    normalised_motion_error: None,
                     turn_observed: true,
                     cpu_millis: 1.0,
                 }

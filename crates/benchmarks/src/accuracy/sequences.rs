@@ -7,7 +7,7 @@ use pb3dp_geometry::frames::{CamLeft, Model, Target, World};
 use pb3dp_sim::scene::ScenePoses;
 use pb3dp_sim::targets::Paint;
 
-use super::cell::{Light, Setup, Shape};
+use super::cell::{Condition, Light, Setup, Shape};
 use super::trial::plane_of;
 
 /// Motion of the target.
@@ -19,6 +19,25 @@ pub enum Motion {
     Still,
     /// 100 mm along and 20 degrees about each axis in turn, out and back: the experiment of the paper's Fig. 7.
     Steps,
+    /// A start and a motion of its own.
+    Own(OwnMotion),
+}
+
+/// A start, and sine waves along and about all axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OwnMotion {
+    /// Position at the start, metres.
+    pub start_m: Vector3<f64>,
+    /// Rotation at the start, degrees: about y, then x, then the normal.
+    pub start_deg: Vector3<f64>,
+    /// Amplitudes along the axes, metres.
+    pub shift_m: Vector3<f64>,
+    /// Amplitudes about the axes, degrees.
+    pub turn_deg: Vector3<f64>,
+    /// Periods of the six waves, seconds.
+    pub period_s: [f64; 6],
+    /// Their phases at the start, radians.
+    pub phase_rad: [f64; 6],
 }
 
 /// One sequence.
@@ -38,6 +57,8 @@ pub struct SequenceSpec {
     pub hides: bool,
     /// Whether surfaces are sampled finely; long runs are not.
     pub fine: bool,
+    /// The condition of the cameras.
+    pub condition: Condition,
 }
 
 /// First frame in which the occluder slides in, first in which the target is fully hidden, first in which the occluder
@@ -56,6 +77,7 @@ fn spec(name: &str, setup: Setup) -> SequenceSpec {
         rate_hz: 30.0,
         hides: false,
         fine: true,
+        condition: Condition::Undisturbed,
     }
 }
 
@@ -96,37 +118,57 @@ impl SequenceSpec {
         kept.contains(&self.name.as_str()).then_some(Self { frames, ..self })
     }
 
-    /// Pose of the target in the left camera, which is stationary.
+    /// Time of a frame, seconds.
+    pub fn time_s(&self, frame: usize) -> f64 {
+        frame as f64 / self.rate_hz
+    }
+
+    /// Pose of the target in the left camera, which is stationary, in a frame.
     pub fn cam_left_from_target(&self, frame: usize) -> Pose<CamLeft, Target> {
-        let t = frame as f64 / self.rate_hz;
+        self.cam_left_from_target_at(self.time_s(frame))
+    }
+
+    /// The same at any time.
+    fn cam_left_from_target_at(&self, t: f64) -> Pose<CamLeft, Target> {
         let (shift, turn_deg) = match self.motion {
             Motion::Still => (Vector3::zeros(), Vector3::zeros()),
             Motion::Combined => combined(t),
             Motion::Steps => steps(t),
+            Motion::Own(own) => own.since_start(t),
         };
-        let start = UnitQuaternion::from_scaled_axis(Vector3::new(0.10, -0.08, 0.35));
-        let about = |axis: Vector3<f64>, degrees: f64| UnitQuaternion::from_scaled_axis(axis * degrees.to_radians());
-        let turn = about(Vector3::y(), turn_deg.y) * about(Vector3::x(), turn_deg.x) * about(Vector3::z(), turn_deg.z);
-        Pose::from_parts(self.start_m() + shift, turn * start)
+        let start = match self.motion {
+            Motion::Own(own) => turned(&own.start_deg),
+            _ => UnitQuaternion::from_scaled_axis(Vector3::new(0.10, -0.08, 0.35)),
+        };
+        Pose::from_parts(self.start_m() + shift, turned(&turn_deg) * start)
     }
 
     fn start_m(&self) -> Vector3<f64> {
         match self.motion {
             // Leaves space for 100 mm along every axis.
             Motion::Steps => Vector3::new(0.0, -0.045, 0.48),
+            Motion::Own(own) => own.start_m,
             _ => Vector3::new(0.05, 0.0, 0.53),
         }
     }
 
-    /// The scene of a frame. `world` is the frame of the occluder if there is one, otherwise that of the left camera.
+    /// The scene of a frame.
     pub fn poses(&self, frame: usize) -> ScenePoses {
+        self.poses_at(self.time_s(frame))
+    }
+
+    /// The scene at any time. `world` is the frame of the occluder if there is one, otherwise that of the left camera.
+    pub fn poses_at(&self, time_s: f64) -> ScenePoses {
         let cam_left_from_world: Pose<CamLeft, World> = if self.hides {
-            Pose::from_translation(Vector3::new(edge_m(frame), 0.0, 0.37))
+            Pose::from_translation(Vector3::new(edge_m(time_s * self.rate_hz), 0.0, 0.37))
         } else {
             Pose::coincident()
         };
         let world_from_cam_left = cam_left_from_world.inverse();
-        ScenePoses { world_from_cam_left, world_from_target: world_from_cam_left * self.cam_left_from_target(frame) }
+        ScenePoses {
+            world_from_cam_left,
+            world_from_target: world_from_cam_left * self.cam_left_from_target_at(time_s),
+        }
     }
 
     /// Whether the target is fully visible in a frame.
@@ -136,12 +178,29 @@ impl SequenceSpec {
 }
 
 /// Left edge of the occluder: right of the image, in front of the target, and out again.
-fn edge_m(frame: usize) -> f64 {
+fn edge_m(frame: f64) -> f64 {
     let [from, covered, leaves, free] = HIDING.map(|frame| frame as f64);
-    let frame = frame as f64;
     let (away, before) = (0.40, -0.16);
     let slide = |start: f64, end: f64| ((frame - start) / (end - start)).clamp(0.0, 1.0);
     away + (before - away) * (slide(from, covered) - slide(leaves, free))
+}
+
+/// A rotation by these angles in degrees: about y, then x, then z.
+fn turned(turn_deg: &Vector3<f64>) -> UnitQuaternion<f64> {
+    let about = |axis: Vector3<f64>, degrees: f64| UnitQuaternion::from_scaled_axis(axis * degrees.to_radians());
+    about(Vector3::y(), turn_deg.y) * about(Vector3::x(), turn_deg.x) * about(Vector3::z(), turn_deg.z)
+}
+
+impl OwnMotion {
+    /// Translation in metres and rotation in degrees since the start.
+    fn since_start(&self, t: f64) -> (Vector3<f64>, Vector3<f64>) {
+        let wave = |k: usize| {
+            let (period_s, phase) = (self.period_s[k], self.phase_rad[k]);
+            (std::f64::consts::TAU * t / period_s + phase).sin() - phase.sin()
+        };
+        let waves = |first: usize| Vector3::from_fn(|axis, _| wave(first + axis));
+        (self.shift_m.component_mul(&waves(0)), self.turn_deg.component_mul(&waves(3)))
+    }
 }
 
 /// Translation in metres and rotation in degrees.
@@ -179,15 +238,6 @@ pub fn model_in_first_frame(first: &Pose<CamLeft, Target>, centre_ray: &Vector3<
     let x = (Vector3::x() - z * z.x).normalize();
     let axes = Matrix3::from_columns(&[x, z.cross(&x), z]);
     Pose::from_rotation_matrix(&axes, centre_ray / plane.dot(centre_ray))
-}
-
-/// The true pose of the model in a frame.
-pub fn model_in(
-    now: &Pose<CamLeft, Target>,
-    first: &Pose<CamLeft, Target>,
-    model_first: &Pose<CamLeft, Model>,
-) -> Pose<CamLeft, Model> {
-    *now * first.inverse() * *model_first
 }
 
 #[cfg(test)]

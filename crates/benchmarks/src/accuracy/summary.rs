@@ -6,6 +6,7 @@ use pb3dp_record::metrics::{median, percentile, rms};
 use serde_json::{Value, json};
 
 use super::cell::{Cell, Question};
+use super::chi_square::interval;
 use super::measure::{Measured, Outcome};
 
 /// Errors below these are never wrong: metres, radians.
@@ -42,6 +43,8 @@ pub struct Summary {
     pub ratio: Option<[f64; 2]>,
     /// Mean normalised squared error over its expected value; 1 is consistent.
     pub nees: Option<f64>,
+    /// 95 % interval of [`Self::nees`]: the errors of the pairs are independent.
+    pub nees_interval: Option<[f64; 2]>,
     /// CPU time, milliseconds, median.
     pub cpu_millis: f64,
 }
@@ -78,6 +81,7 @@ impl Summary {
             _ => None,
         };
         let nees: Vec<f64> = ok.iter().filter_map(|(o, _)| o.normalised_error).collect();
+        let mean_nees = (!nees.is_empty()).then(|| nees.iter().sum::<f64>() / nees.len() as f64);
         let times: Vec<f64> = outcomes.iter().map(|(o, _)| o.cpu_millis).collect();
         Self {
             cell: cell.name.clone(),
@@ -90,7 +94,8 @@ impl Summary {
             angle_rad: three(&angles),
             bound: all_bounds,
             ratio,
-            nees: (!nees.is_empty()).then(|| nees.iter().sum::<f64>() / nees.len() as f64),
+            nees: mean_nees,
+            nees_interval: mean_nees.map(|mean| interval(mean, 3.0 * nees.len() as f64)),
             cpu_millis: median(&times).unwrap_or(f64::NAN),
         }
     }
@@ -106,7 +111,7 @@ impl Summary {
             "angle_deg": {"median": finite(degrees[0]), "p95": finite(degrees[1]), "rms": finite(degrees[2])},
             "bound": self.bound.map(|[z, angle]| json!({"z_mm": z * 1e3, "angle_deg": angle.to_degrees()})),
             "ratio": self.ratio.map(|[z, angle]| json!({"z": z, "angle": angle})),
-            "nees": self.nees, "cpu_ms": finite(self.cpu_millis),
+            "nees": self.nees, "nees_interval": self.nees_interval, "cpu_ms": finite(self.cpu_millis),
         })
     }
 }

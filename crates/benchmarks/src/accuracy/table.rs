@@ -41,13 +41,22 @@ pub fn row(summary: &Summary) -> [String; 13] {
         summary.bound.map_or("-".to_owned(), |[z, angle]| format!("{:.3}, {:.3}", z * 1e3, angle.to_degrees())),
         number(summary.ratio.map(|ratio| ratio[0]), 2),
         number(summary.ratio.map(|ratio| ratio[1]), 2),
-        number(summary.nees, 2),
+        with_interval(summary.nees, summary.nees_interval),
         number(Some(summary.cpu_millis), 2),
     ]
 }
 
+/// A NEES and its interval.
+pub fn with_interval(nees: Option<f64>, interval: Option<[f64; 2]>) -> String {
+    match (nees, interval) {
+        (Some(nees), Some([low, high])) => format!("{nees:.2} ({low:.2} to {high:.2})"),
+        (Some(nees), None) => format!("{nees:.2}"),
+        (None, _) => "-".to_owned(),
+    }
+}
+
 /// Column widths on the terminal.
-const WIDTHS: [usize; 13] = [34, 16, 5, 7, 8, 9, 17, 20, 15, 14, 8, 8, 8];
+const WIDTHS: [usize; 13] = [34, 16, 5, 7, 8, 9, 17, 20, 15, 14, 8, 22, 8];
 
 /// A row for the terminal.
 pub fn line(cells: &[String; 13]) -> String {

@@ -6,16 +6,18 @@ use nalgebra::Vector6;
 use pb3dp_estimation::estimator::{FramePrior, Method, Tracker};
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::method::EstimateRequest;
-use pb3dp_estimation_core::region::{Region, RegionConfig};
-use pb3dp_estimation_core::status::Status;
+use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::Pose;
-use pb3dp_geometry::frames::{CamLeft, Model};
+use pb3dp_geometry::frames::{CamLeft, Model, Target};
 use pb3dp_sim::raster::StereoRenderer;
 
+use super::cell::RegionKind;
+use super::conditions;
 use super::random::hash_of;
 use super::scenes::{SceneStore, rigs, sensor};
 use super::sequence_summary::{SequenceSummary, Tracked};
-use super::sequences::{SEARCH, SequenceSpec, model_in, model_in_first_frame};
+use super::sequences::{SEARCH, SequenceSpec, model_in_first_frame};
+use super::trial::rectangle_around;
 use pb3dp_hal_platform::cpu_time::timed;
 
 /// Renders the frames of a sequence.
@@ -42,8 +44,11 @@ impl<'a> Frames<'a> {
     }
 
     /// Renders a frame.
-    pub fn render(&mut self, frame: usize, left: &mut RgbImage, right: &mut RgbImage) {
-        self.renderer.render_pair(&self.spec.poses(frame), frame as u64, left, right);
+    ///
+    /// # Errors
+    /// If the simulator rejects the condition of the cameras.
+    pub fn render(&mut self, frame: usize, left: &mut RgbImage, right: &mut RgbImage) -> anyhow::Result<()> {
+        conditions::render(self.spec, frame, &mut self.renderer, left, right)
     }
 
     /// The region that the operator marks in the first frame.
@@ -52,11 +57,49 @@ impl<'a> Frames<'a> {
     /// If the target is not in front of the camera.
     pub fn outline_px(&self) -> anyhow::Result<Vec<nalgebra::Vector2<f64>>> {
         let outline = self.renderer.target_outline_px(&self.spec.poses(0));
-        outline.with_context(|| format!("the target of {} is not in front of the camera", self.spec.name))
+        let outline =
+            outline.with_context(|| format!("the target of {} is not in front of the camera", self.spec.name))?;
+        Ok(if self.spec.setup.region == RegionKind::Rectangle { rectangle_around(&outline) } else { outline })
     }
 }
 
+/// Answers of some trackers to one sequence, and the truth.
+pub struct Run {
+    /// Per tracker: the method and its answers.
+    pub tracked: Vec<(&'static str, Vec<Tracked>)>,
+    /// Pose of the target in each frame.
+    pub truth: Vec<Pose<CamLeft, Model>>,
+}
+
 /// Runs every method over a sequence.
+///
+/// # Errors
+/// If a part rejects the setup.
+pub fn follow(spec: &SequenceSpec, methods: &[Method], seed: u32, scenes: &mut SceneStore) -> anyhow::Result<Run> {
+    let mut frames = Frames::new(spec, seed, scenes)?;
+    let config = super::measure::config();
+    let mut trackers =
+        methods.iter().map(|method| Tracker::new(*method, &frames.rig, &config)).collect::<Result<Vec<_>, _>>()?;
+    let region = Region::Polygon { vertices_px: frames.outline_px()? };
+    let (mut left, mut right) = (RgbImage::new(1, 1), RgbImage::new(1, 1));
+    let mut judges = vec![Judge::new(spec); trackers.len()];
+    let mut tracked = vec![Vec::with_capacity(spec.frames); trackers.len()];
+    for frame in 0..spec.frames {
+        frames.render(frame, &mut left, &mut right)?;
+        for ((tracker, tracked), judge) in trackers.iter_mut().zip(&mut tracked).zip(&mut judges) {
+            let (answer, cpu_millis) = timed(|| match frame {
+                0 => tracker.estimate(EstimateRequest::of_target(&left, &right, &region, &SEARCH)),
+                _ => tracker.estimate(EstimateRequest::of_next(&left, &right, &FramePrior::default())),
+            });
+            tracked.push(judge.judge(frame, answer.ok(), cpu_millis));
+        }
+    }
+    let truth = (0..spec.frames).map(|frame| spec.cam_left_from_target(frame).relabel()).collect();
+    let names = trackers.iter().map(|tracker| tracker.method().name());
+    Ok(Run { tracked: names.zip(tracked).collect(), truth })
+}
+
+/// Runs every method over a sequence, and summarises each.
 ///
 /// # Errors
 /// If a part rejects the setup.
@@ -66,56 +109,54 @@ pub fn run_sequence(
     seed: u32,
     scenes: &mut SceneStore,
 ) -> anyhow::Result<Vec<SequenceSummary>> {
-    let mut frames = Frames::new(spec, seed, scenes)?;
-    let config = super::measure::config();
-    let mut trackers =
-        methods.iter().map(|method| Tracker::new(*method, &frames.rig, &config)).collect::<Result<Vec<_>, _>>()?;
-    let region = Region::Polygon { vertices_px: frames.outline_px()? };
-    let (mut left, mut right) = (RgbImage::new(1, 1), RgbImage::new(1, 1));
-    let mut tracked = vec![Vec::with_capacity(spec.frames); trackers.len()];
-    let first = spec.cam_left_from_target(0);
-    let mut model_first = None;
-    for frame in 0..spec.frames {
-        frames.render(frame, &mut left, &mut right);
-        let model_first = match model_first {
-            Some(model) => model,
-            None => {
-                let mask = region.rasterize(&left, &RegionConfig::default())?;
-                let centroid = mask.centroid_px().context("the region is empty")?;
-                *model_first.insert(model_in_first_frame(&first, &frames.rig.left().unproject(&centroid)?))
-            }
-        };
-        let truth = model_in(&spec.cam_left_from_target(frame), &first, &model_first);
-        for (tracker, tracked) in trackers.iter_mut().zip(&mut tracked) {
-            let (answer, cpu_millis) = timed(|| match frame {
-                0 => tracker.estimate(EstimateRequest::of_target(&left, &right, &region, &SEARCH)),
-                _ => tracker.estimate(EstimateRequest::of_next(&left, &right, &FramePrior::default())),
-            });
-            // The model frame of a relief is a matter of definition: its absolute pose has no truth.
-            let judged = spec.setup.is_planar().then_some(&truth);
-            tracked.push(answer_of(answer.ok(), judged, cpu_millis));
-        }
-    }
-    let truth: Vec<_> =
-        (0..spec.frames).map(|frame| spec.cam_left_from_target(frame).relabel::<CamLeft, Model>()).collect();
-    let rows = trackers.iter().zip(&tracked);
-    Ok(rows.map(|(tracker, tracked)| SequenceSummary::of(spec, tracker.method().name(), tracked, &truth)).collect())
+    let run = follow(spec, methods, seed, scenes)?;
+    Ok(run.tracked.iter().map(|(method, tracked)| SequenceSummary::of(spec, method, tracked, &run.truth)).collect())
 }
 
-fn answer_of(answer: Option<TrackEstimate>, truth: Option<&Pose<CamLeft, Model>>, cpu_millis: f64) -> Tracked {
-    let Some(estimate) = answer else {
-        return Tracked { status: Status::Error, pose: None, normalised_error: None, turn_observed: false, cpu_millis };
-    };
-    let normalised_error = estimate.cam_left_from_model.zip(estimate.covariance).and_then(|(pose, covariance)| {
-        // true = estimate * exp(xi), xi = [rho; phi] in the model's axes.
-        let xi: Vector6<f64> = (pose.inverse() * *truth?).log();
-        Some(xi.dot(&covariance.cholesky()?.solve(&xi)) / 6.0)
-    });
-    Tracked {
-        status: estimate.status,
-        pose: estimate.cam_left_from_model,
-        normalised_error,
-        turn_observed: estimate.rotation_about_normal_observed,
-        cpu_millis,
+/// Judges the answers of one tracker to one sequence.
+#[derive(Clone, Copy)]
+struct Judge<'a> {
+    spec: &'a SequenceSpec,
+    /// Pose of the target in the first frame, and the first answer.
+    first: Pose<CamLeft, Target>,
+    answered: Option<Pose<CamLeft, Model>>,
+}
+
+impl<'a> Judge<'a> {
+    fn new(spec: &'a SequenceSpec) -> Self {
+        Self { spec, first: spec.cam_left_from_target(0), answered: None }
+    }
+
+    fn judge(&mut self, frame: usize, answer: Option<TrackEstimate>, cpu_millis: f64) -> Tracked {
+        let Some(estimate) = answer else { return Tracked::without_answer(cpu_millis) };
+        if frame == 0 {
+            self.answered = estimate.cam_left_from_model;
+        }
+        let moved = self.spec.cam_left_from_target(frame) * self.first.inverse();
+        let error = |truth: Option<Pose<CamLeft, Model>>| {
+            let (pose, covariance) = estimate.cam_left_from_model.zip(estimate.covariance)?;
+            // true = estimate * exp(xi), xi = [rho; phi] in the model's axes.
+            let xi: Vector6<f64> = (pose.inverse() * truth?).log();
+            Some(xi.dot(&covariance.cholesky()?.solve(&xi)) / 6.0)
+        };
+        let of_motion = error(self.answered.filter(|_| frame > 0).map(|first| moved * first));
+        Tracked {
+            status: estimate.status,
+            pose: estimate.cam_left_from_model,
+            normalised_error: if self.spec.setup.is_planar() {
+                error(self.model().map(|m| moved * m))
+            } else {
+                of_motion
+            },
+            normalised_motion_error: of_motion,
+            turn_observed: estimate.rotation_about_normal_observed,
+            cpu_millis,
+        }
+    }
+
+    /// The true pose of the model in the first frame of a plane, with its origin on the ray of the first answer: that of the
+    /// region's centroid, or of the part that the tracker follows.
+    fn model(&self) -> Option<Pose<CamLeft, Model>> {
+        Some(model_in_first_frame(&self.first, &self.answered?.translation_m()))
     }
 }

@@ -144,7 +144,8 @@ pub fn fitted_plane(seen: &GroundTruth, camera: &Camera) -> Option<Vector3<f64>>
     Some(normal_matrix.try_inverse()? * right_side)
 }
 
-fn rectangle_around(outline_px: &[Vector2<f64>]) -> Vec<Vector2<f64>> {
+/// The bounding box of an outline.
+pub fn rectangle_around(outline_px: &[Vector2<f64>]) -> Vec<Vector2<f64>> {
     let low = outline_px.iter().fold(Vector2::repeat(f64::INFINITY), |low, p| low.inf(p));
     let high = outline_px.iter().fold(Vector2::repeat(f64::NEG_INFINITY), |high, p| high.sup(p));
     vec![low, Vector2::new(high.x, low.y), high, Vector2::new(low.x, high.y)]

@@ -38,6 +38,10 @@ pub struct EstimateLine {
     pub cam_left_from_model: Option<[f64; 16]>,
     /// Covariance of this frame, 36 numbers, row by row, as in the lines of `pb3dp track`.
     pub covariance: Option<Vec<f64>>,
+    /// The share of the calibration in the covariance of this frame, not contained in `covariance`; only if the calibration file has a
+    /// covariance.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub calibration_covariance: Option<Vec<f64>>,
     /// Whether the pair determines each direction of this frame, in the order of `covariance`; null if the method does not tell.
     pub observed: Option<[bool; 6]>,
     /// Row of the right image minus row of the left one, of the rectified pair, pixels.
@@ -88,6 +92,7 @@ impl EstimateLine {
             point_mm: None,
             cam_left_from_model: None,
             covariance: None,
+            calibration_covariance: None,
             observed: None,
             row_offset_px: None,
             reason,

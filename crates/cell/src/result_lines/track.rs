@@ -23,6 +23,13 @@ pub struct TrackLine {
     /// Covariance of the pose, row-major, of `xi` = translation (mm), then rotation (radians), along the axes of `model`:
     /// true pose = pose exp(xi).
     pub covariance: Option<Vec<f64>>,
+    /// The share of the calibration in the covariance of the pose, not contained in `covariance`; only if the calibration file has a
+    /// covariance.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub calibration_covariance: Option<Vec<f64>>,
+    /// The same for the motion since the first pose.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub calibration_covariance_of_motion: Option<Vec<f64>>,
     /// Whether the images determine each direction of the pose, in the order of `covariance`; null if the method does not tell.
     pub observed: Option<[bool; 6]>,
     /// Agreement of the images, at most 1; eq. (10) for the published method.
@@ -59,6 +66,8 @@ impl TrackLine {
             status: "error",
             cam_left_from_model: None,
             covariance: None,
+            calibration_covariance: None,
+            calibration_covariance_of_motion: None,
             observed: None,
             fitness: None,
             ms: None,

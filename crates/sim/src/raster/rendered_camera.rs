@@ -5,6 +5,7 @@ use nalgebra::Isometry3;
 use pb3dp_geometry::{Camera, ImageSize};
 
 use super::coverage::EdgePixels;
+use super::exposure::{Exposure, Shutter};
 use super::fine::Fine;
 use super::triangle::{PartPose, ScreenTriangle, collect_triangles};
 use super::view::View;
@@ -74,18 +75,23 @@ impl RenderedCamera {
         self.defocus_px = defocus_px;
     }
 
-    /// Takes an image of `size`: the mean of the light over all times, processed by the sensor model.
+    /// Changes the response.
+    pub(crate) fn set_response(&mut self, response: &CameraResponse) {
+        self.developer.set_response(response);
+    }
+
+    /// Takes an image of `size`: the light of all times, processed by the sensor model.
     pub(crate) fn expose(
         &mut self,
         scene: &Scene,
-        moments: &[ScenePoses],
+        exposure: &Exposure<'_>,
         key: &NoiseKey,
         size: ImageSize,
         image: &mut RgbImage,
     ) {
-        match moments {
+        match exposure.moments {
             [poses] => self.render_light(scene, poses),
-            _ => self.gather_light(scene, moments),
+            _ => self.gather_light(scene, exposure),
         }
         self.blur();
         if image.dimensions() != (size.width, size.height) {
@@ -143,19 +149,28 @@ impl RenderedCamera {
         shade(&mut self.edges, &self.view, &self.visibility, surfaces, &mut self.light);
     }
 
-    /// Renders the mean light over several times.
-    fn gather_light(&mut self, scene: &Scene, moments: &[ScenePoses]) {
+    /// Renders the light over several times: its mean, or row after row.
+    fn gather_light(&mut self, scene: &Scene, exposure: &Exposure<'_>) {
         self.exposure_sum.clear();
         self.exposure_sum.resize(self.light.len(), 0);
-        for poses in moments {
+        let stride = 3 * self.view.width;
+        for (moment, poses) in exposure.moments.iter().enumerate() {
+            let Some(rows) = exposure.rows(moment, self.view.height) else { continue };
             self.render_light(scene, poses);
-            for (sum, &light) in self.exposure_sum.iter_mut().zip(&self.light) {
-                *sum += u32::from(light);
+            for row in rows {
+                let share = exposure.share(moment, row);
+                let values = row * stride..(row + 1) * stride;
+                for (sum, &light) in self.exposure_sum[values.clone()].iter_mut().zip(&self.light[values]) {
+                    *sum += share * u32::from(light);
+                }
             }
         }
-        let count = moments.len() as u32;
+        let whole = match exposure.shutter {
+            Shutter::Global => 256 * exposure.moments.len() as u32,
+            Shutter::Rolling { .. } => 256,
+        };
         for (light, &sum) in self.light.iter_mut().zip(&self.exposure_sum) {
-            *light = ((sum + count / 2) / count) as u16;
+            *light = ((sum + whole / 2) / whole) as u16;
         }
     }
 

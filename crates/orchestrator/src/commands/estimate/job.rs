@@ -7,6 +7,7 @@ use anyhow::{Context, Result, bail};
 use image::RgbImage;
 use nalgebra::Vector2;
 use pb3dp_cell::search_range::{self, range_of_dataset};
+use pb3dp_estimation::calibration_term::CalibrationTerm;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::StereoRig;
@@ -18,6 +19,7 @@ use pb3dp_setup::region_spec::load_region;
 use pb3dp_wiring::{ReplayPace, wire_replay};
 
 use crate::arguments::{EstimateArgs, MethodArgs};
+use crate::commands::calibration_share::term_of;
 
 /// Input of an estimate, in memory.
 pub struct Job {
@@ -29,6 +31,8 @@ pub struct Job {
     pub right: RgbImage,
     /// Calibration.
     pub rig: StereoRig,
+    /// Its share in covariances, if its file has a covariance.
+    pub calibration_term: Option<CalibrationTerm>,
     /// The files of the calibration.
     pub calibration_files: Vec<PathBuf>,
     /// Warnings about the calibration.
@@ -58,6 +62,7 @@ impl Job {
             name: case.name.clone(),
             left: images.left,
             right: images.right,
+            calibration_term: term_of(&calibration),
             rig: calibration.rig,
             calibration_files: vec![case.calibration.clone()],
             notes: calibration.notes,
@@ -82,6 +87,7 @@ impl Job {
         check_size(right_file, right.size(), (left.size(), &left_file.display().to_string()))?;
         let ([left, right], note) = StoredImage::to_rgb_pair([left, right], &mut args.recording.range.clone());
         check_sizes(&calibration.rig, &left, left_file, &calibration.source)?;
+        let calibration_term = term_of(&calibration);
         let mut notes = calibration.notes;
         notes.extend(note);
         let given = default_range(&calibration.rig, args.method.z_range.is_none(), &mut notes);
@@ -91,6 +97,7 @@ impl Job {
             left,
             right,
             rig: calibration.rig,
+            calibration_term,
             calibration_files: args.calib.clone(),
             notes,
             centroid_px: None,
@@ -137,6 +144,7 @@ impl Job {
             left: pair.left,
             right: pair.right,
             rig,
+            calibration_term: term_of(recording.camera.calibration()),
             calibration_files: args.calib.clone(),
             notes,
             region,

@@ -11,6 +11,7 @@ use anyhow::{Result, bail};
 use nalgebra::Vector2;
 use pb3dp_cell::annotation::{Annotation, annotate, polygon_px};
 use pb3dp_cell::result_lines::EstimateLine;
+use pb3dp_cell::result_lines::millimetres::covariance_mm;
 use pb3dp_cell::terminal::print_line;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
 use pb3dp_estimation::pair_check::check_pair;
@@ -29,6 +30,7 @@ use self::job::{Job, pair_name};
 use self::rigs::Rigs;
 use super::overlay_folder::{make_overlay_folder, report_overlay_folder};
 use crate::arguments::{EstimateArgs, UNSURE};
+use crate::commands::calibration_share::of_first;
 use crate::commands::pair::usable;
 use crate::progress::Progress;
 
@@ -172,11 +174,25 @@ fn work(
     let (centroid_px, z_m) = estimate.point_at(job.centroid_px.map(Vector2::from));
     tell(&job.name, &estimate);
     let mut line = EstimateLine::of(&job.name, method.name(), &estimate, (centroid_px, z_m), millis);
+    line.calibration_covariance = calibration_covariance(job, &estimate, &centroid_px, &config.published.region)?;
     line.warnings.extend(pair_warning);
     if let Err(error) = overlays.draw(job, &estimate, &line, &config.published.region) {
         tracing::warn!("{}: no image: {error:#}", job.name);
     }
     Ok((line, evaluate(job, &estimate, z_m, millis)?))
+}
+
+/// The share of the calibration in the covariance of the model frame at a point of the left image.
+fn calibration_covariance(
+    job: &Job,
+    estimate: &PlaneEstimate,
+    at_px: &Vector2<f64>,
+    regions: &RegionConfig,
+) -> Result<Option<Vec<f64>>> {
+    let (Some(term), Some(frame)) = (&job.calibration_term, estimate.model_frame(at_px)) else { return Ok(None) };
+    let outline_px = job.region.outline_px(&job.region.rasterize(&job.left, regions)?);
+    let share = of_first(term, &job.rig, &frame.cam_left_from_model, &outline_px);
+    Ok(share.as_ref().map(covariance_mm))
 }
 
 /// The best of all chromosomes; separate from the estimate, so that its time does not count.

@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use pb3dp_cell::result_lines::TrackLine;
+use pb3dp_cell::result_lines::millimetres::covariance_mm;
 use pb3dp_cell::terminal::print_line;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_estimation_core::status::Status;
@@ -25,6 +26,7 @@ use self::output_file::check_writable;
 use self::overlays::Overlays;
 use self::walk::{Outcome, TargetResult, Walk};
 use crate::arguments::{TrackArgs, UNSURE};
+use crate::commands::calibration_share::TrackShares;
 use crate::progress::Progress;
 
 /// A replay does not wait for images: this time-out should never expire.
@@ -52,6 +54,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     }
     let rig = *recording.camera.rig();
     let mut walk = Walk::new(method, &rig, &recording, args)?;
+    let mut shares = TrackShares::new(recording.camera.calibration(), walk.targets().len());
     let mut csv = EstimateFiles::open(args.csv.as_deref(), walk.targets().len())?;
     let mut overlays = Overlays::open(&args.method)?;
     let mut pair = FramePair::black(rig.left().size());
@@ -72,7 +75,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
                     tracing::warn!("frame {frame}: no image: {error:#}");
                 }
                 csv.add(t_s, &found)?;
-                all_lines(frame, t_s, &found)
+                all_lines(frame, t_s, &found, &mut shares)
             }
             Err(error) if error.kind() == CameraErrorKind::BadPair => {
                 unread += 1;
@@ -105,16 +108,23 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
 }
 
 /// A line for each target of a frame.
-fn all_lines(frame: usize, t_s: f64, found: &[TargetResult]) -> Vec<TrackLine> {
-    let line = |found: &TargetResult| {
+fn all_lines(frame: usize, t_s: f64, found: &[TargetResult], shares: &mut TrackShares) -> Vec<TrackLine> {
+    let line = |(index, found): (usize, &TargetResult)| {
         let mut line = match &found.outcome {
-            Outcome::Estimate { estimate, millis } => TrackLine::of(frame, t_s, estimate, *millis),
+            Outcome::Estimate { estimate, millis } => {
+                let share = shares.share(index, estimate);
+                TrackLine {
+                    calibration_covariance: share.map(|share| covariance_mm(&share.pose)),
+                    calibration_covariance_of_motion: share.map(|share| covariance_mm(&share.motion)),
+                    ..TrackLine::of(frame, t_s, estimate, *millis)
+                }
+            }
             Outcome::Refused { reason } => TrackLine::of_error(frame, t_s, reason),
         };
         line.warnings.extend(found.pair_warning.clone());
         TrackLine { target: found.target, ..line }
     };
-    found.iter().map(line).collect()
+    found.iter().enumerate().map(line).collect()
 }
 
 /// Logs the table of motion errors, and the components that the method does not observe. The truth of a sequence belongs to its own
