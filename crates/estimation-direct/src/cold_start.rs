@@ -248,8 +248,7 @@ impl ColdStart {
             let is_partial = support_of(&finest) < self.config.choice.nearby_support_max;
             if is_partial && may_continue() { self.nearby(&refined.plane) } else { None }
         });
-        let is_mostly_plane = support_of(&finest) >= self.config.choice.continued_support_max;
-        let continued = if !is_mostly_plane && may_continue() { self.continued(&reached) } else { None };
+        let continued = if may_continue() { self.continued(&reached, support_of(&finest)) } else { None };
         Some(ColdStartOutcome {
             first,
             second,
@@ -354,10 +353,14 @@ impl ColdStart {
         Some(level.full_plane(&found, plane.centre_px))
     }
 
-    /// The plane of least squares through the surface that continues a plane, if that surface is curved. If it is uncertain whether the
+    /// The plane of least squares through the surface that continues a plane, if that surface is curved; `support` is the share of the
+    /// region that agrees with the plane. If it is uncertain whether the
     /// region shows one surface, only where the plane explains little of it.
-    fn continued(&mut self, plane: &DisparityPlane) -> Option<ContinuedPlane> {
+    fn continued(&mut self, plane: &DisparityPlane, support: f64) -> Option<ContinuedPlane> {
         let (level, choice) = (&self.pyramid.levels()[self.searched], &self.config.choice);
+        if support >= choice.continued_support_max {
+            return None;
+        }
         let (surface, found) = self.search.continued(level, &level.level_plane(plane), choice)?;
         let is_curved = self.search.valid_share >= choice.widest_valid_min
             && surface.share >= choice.continued_share_min
