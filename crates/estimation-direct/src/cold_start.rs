@@ -54,7 +54,7 @@ impl Default for ColdStartConfig {
         Self {
             quick_area_px: 6000,
             search_area_px: 12_000,
-            quick_share_min: 0.75,
+            quick_share_min: 0.6,
             patch_area_px: 24_000,
             search: PlaneSearchConfig::default(),
             patches: PatchConfig::default(),

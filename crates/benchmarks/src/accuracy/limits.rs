@@ -115,6 +115,8 @@ pub const OPEN: &[OpenGoal] = &[
     OpenGoal { name: "target/faint", figure: "Nees", ceiling: 1.8 },
     // The stated variance is 1.5 times the true one: NEES 0.68 with an interval of 0.61 to 0.77.
     OpenGoal { name: "many/crab", figure: "OneOverNees", ceiling: 1.7 },
+    // One of the sequences does not start: its first pair is `ambiguous`.
+    OpenGoal { name: "many/relief-10mm", figure: "Lost", ceiling: 20.0 },
 ];
 
 /// Limits of a method for tracked sequences whose name starts with a text: median and 95th percentile.

@@ -134,7 +134,7 @@ const OF_CONFIG: &[OfConfig] = &[
         "search.quick_share_min",
         "cold_start.rs",
         "quick_share_min: 0",
-        &[0.6, 0.9],
+        &[0.5, 0.75],
         |c| c.cold_start.quick_share_min,
         |c, v| c.cold_start.quick_share_min = v,
     ),
