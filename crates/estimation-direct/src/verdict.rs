@@ -129,7 +129,8 @@ fn cause(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVerdict
             1e3 * range.z_max_m
         );
     }
-    "the region is not flat or contains several surfaces: mark a flat part".to_owned()
+    "the region is not flat, contains several surfaces, or lies outside the depth range: mark a flat part, or widen the range (--z-range)"
+        .to_owned()
 }
 
 /// If no plane explains this share of the region, the cause is the range, the calibration or the images. Chosen by hand,
