@@ -298,7 +298,7 @@ fn conclude(checks: &[Check], quick: bool) -> anyhow::Result<()> {
             Standing::Kept => continue,
             Standing::Open(ceiling) => {
                 open += 1;
-                format!(" (open goal, at most {ceiling:.3} for now)")
+                format!(" (open goal, at most {ceiling:.3})")
             }
             Standing::Broken => {
                 broken += 1;

@@ -286,6 +286,45 @@ mod tests {
     use nalgebra::Vector2;
 
     use super::*;
+    use crate::outcome::Surface;
+    use crate::patches::PatchOutcome;
+    use crate::region_pyramid::LevelPlane;
+
+    /// Patches that mix several surfaces support none of them; single disparities lie on the plane.
+    #[test]
+    fn a_plane_on_which_disparities_lie_is_given_without_support_of_patches() {
+        let plane = DisparityPlane { centre_px: Vector2::new(90.0, 70.0), d0_px: 40.0, slope: Vector2::zeros() };
+        let finest = PatchOutcome {
+            plane: LevelPlane { a: 0.0, b: 0.0, c: 40.0, row: 0 },
+            textured_share: 1.0,
+            support_share: 0.09,
+            mean_correlation: 0.8,
+        };
+        let status = |share: f64| {
+            let first = Surface { plane, share, patches: finest, score: 0.3, mask: 0 };
+            let outcome = ColdStartOutcome {
+                first,
+                second: None,
+                alias: None,
+                contender: None,
+                valid_share: 0.7,
+                finest,
+                patch_plane: plane,
+                refined: None,
+                at_refined: None,
+                plane_at_refined: None,
+                nearby: None,
+                widest: None,
+                continued: None,
+                relief_px: 0.0,
+                unlimited: None,
+                repeats_px: None,
+            };
+            let searched = Searched { range: SearchRange::new(0.3, 1.0, 1.0).unwrap(), steeper: None };
+            judge(&outcome, None, &searched, &DirectVerdictConfig::default(), &SurfaceChoice::default()).status
+        };
+        assert_eq!([0.2, 0.25].map(status), [Status::NotObservable, Status::Ambiguous]);
+    }
 
     #[test]
     fn a_rival_at_the_same_distance_is_named_by_its_tilt() {

@@ -344,6 +344,25 @@ fn a_plane_that_has_little_of_the_region_is_not_sure() {
     assert_eq!(found(50).status, Status::Ok, "{}", found(50).reason);
 }
 
+/// Three fifths of the region are flat, and the surface bends away from them: the answer is the flat part.
+#[test]
+fn a_surface_that_is_mostly_flat_is_not_taken_for_a_curved_one() {
+    let rig = scene::rectified_rig(SIZE);
+    let (left, right) = pair(|u, _| 128.0 + 0.2 * (u - 340.0).max(0.0));
+    let region = Region::Rectangle { x: 280, y: 170, width: 100, height: 100 };
+    let range = SearchRange::new(0.35, 0.8, 60_f64.to_radians()).unwrap();
+    let normal_off_deg = |support_max: f64| {
+        let mut config = DirectConfig::default();
+        config.cold_start.choice.continued_support_max = support_max;
+        let mut estimator = DirectEstimator::new(&rig, config).unwrap();
+        let found = estimator.estimate(EstimateRequest::of_target(&left, &right, &region, &range)).unwrap();
+        found.pose.unwrap().normal_in_cam_left.angle(&-nalgebra::Vector3::z()).to_degrees()
+    };
+    let choice = DirectConfig::default().cold_start.choice;
+    assert!(normal_off_deg(choice.continued_support_max) < 1.0);
+    assert!(normal_off_deg(2.0) > 5.0, "without the rule the plane of least squares is the answer");
+}
+
 /// Where pixels are binned, the region resembles another position in the range more than its own, because its shading differs.
 /// Fine texture agrees at its own position only. On the coarse level the two are close to each other, or the other one scores
 /// far higher.
