@@ -37,9 +37,9 @@ const RESEMBLANCE_MIN: [f64; LEVELS] = [0.75, 0.7, 0.6, 0.0];
 /// Smallest number of visible points for an alignment. Chosen by hand, not varied: three for each of the eight values of an
 /// alignment (six of motion, gain and offset).
 const POINTS_MIN: f32 = 24.0;
-/// Prior standard deviations of the motion between frames: metres and radians. Larger motions are implausible. Chosen by
-/// hand, not varied: weak beside a frame, it only holds motions that the images do not show.
-const MOTION_SIGMA_M: f64 = 0.1;
+/// Prior standard deviations of the motion between frames: as a share of the distance from the camera, and radians. Larger motions
+/// are implausible. Chosen by hand, not varied: weak beside a frame, it only holds motions that the images do not show.
+const MOTION_SIGMA: f64 = 0.2;
 const MOTION_SIGMA_RAD: f64 = 0.7;
 
 /// State carried from frame to frame.
@@ -164,8 +164,8 @@ impl Aligner {
             StartLevel::Resembling => self.first_level(problem, estimate, levels.clone()),
         };
         let levels = *levels.start()..=first;
-        for level in levels.rev() {
-            if problem.surface.levels[level].groups.is_empty() {
+        for level in levels.clone().rev() {
+            if (problem.surface.levels[level].points() as f32) < POINTS_MIN && level > *levels.start() {
                 continue;
             }
             if !is_fresh {
@@ -449,8 +449,9 @@ impl Problem<'_> {
 impl Knowledge {
     pub(super) fn prior(&self, estimate: &Estimate) -> Prior {
         let mut information = UnknownsMatrix::zeros();
+        let distance_m = estimate.cam_left_from_model.translation_m().norm();
         for i in 0..6 {
-            let sigma = if i < 3 { MOTION_SIGMA_M } else { MOTION_SIGMA_RAD };
+            let sigma = if i < 3 { MOTION_SIGMA * distance_m } else { MOTION_SIGMA_RAD };
             information[(i, i)] = 1.0 / (sigma * sigma);
         }
         information[(ROW, ROW)] = self.row_information;

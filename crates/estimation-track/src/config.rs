@@ -13,7 +13,7 @@ pub struct DirectTrackerConfig {
     /// error decreases with its square root. Default 1024.
     pub points: usize,
     /// Width of the border excluded along the region's outline, pixels, 0 to 50: a defocused camera mixes target and background
-    /// there. Default 6.
+    /// there. At most 0.12 times the side of a square as large as the region. Default 6.
     pub erosion_px: u32,
     /// Largest number of Gauss-Newton steps per frame and level, 1 to 50. Default 16.
     pub steps_max: usize,

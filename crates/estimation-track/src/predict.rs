@@ -23,6 +23,14 @@ const COASTING: f64 = 0.6;
 /// velocity grow; with less, a target is expected too near after a pause.
 const STRETCH_MAX: f64 = 8.0;
 
+/// The expected pose in the camera frame of the next exposure.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Expected {
+    pub(super) pose: Pose<CamLeft, Model>,
+    /// As `pose`, but with the velocity decreased as in a frame without the target.
+    pub(super) coasted: Pose<CamLeft, Model>,
+}
+
 impl Motion {
     pub(super) fn resting(cam_left_from_model: Pose<CamLeft, Model>) -> Self {
         Self { cam_left_from_model, velocity: None, interval: 1.0 }
@@ -33,22 +41,24 @@ impl Motion {
         self.velocity.is_some()
     }
 
-    /// The pose in the camera frame of the next exposure.
-    pub(super) fn predict(&self, prior: &FramePrior) -> Pose<CamLeft, Model> {
+    pub(super) fn expect(&self, prior: &FramePrior) -> Expected {
         if let Some(pose) = prior.cam_left_from_model.filter(Pose::is_finite) {
-            return pose;
+            return Expected { pose, coasted: pose };
         }
         let still = prior.cam_left_prev_from_cam_left_now.unwrap_or_else(Pose::coincident).inverse();
-        still * self.advanced(self.step(prior))
+        let step = self.step(prior);
+        let [pose, coasted] = [1.0, COASTING].map(|share| still * self.advanced(step, share));
+        Expected { pose, coasted }
     }
 
     fn step(&self, prior: &FramePrior) -> f64 {
         prior.dt_s.filter(|dt| *dt > 0.0 && dt.is_finite()).unwrap_or(self.interval)
     }
 
-    fn advanced(&self, by: f64) -> Pose<CamLeft, Model> {
+    /// The pose after a time with this share of the velocity.
+    fn advanced(&self, by: f64, share: f64) -> Pose<CamLeft, Model> {
         let Some((linear, angular)) = self.velocity else { return self.cam_left_from_model };
-        let by = by.min(STRETCH_MAX * self.interval);
+        let by = share * by.min(STRETCH_MAX * self.interval);
         let rotation = so3::exp(&(angular * by)) * self.cam_left_from_model.rotation();
         let rotation = nalgebra::UnitQuaternion::new_normalize(rotation.into_inner());
         Pose::from_parts(self.cam_left_from_model.translation_m() + linear * by, rotation)
@@ -68,7 +78,7 @@ impl Motion {
 
     /// The target was not found: the prediction continues with decreasing velocity.
     pub(super) fn coast(&mut self, prior: &FramePrior) {
-        let (found, step) = (self.predict(prior), self.step(prior));
+        let (found, step) = (self.expect(prior).pose, self.step(prior));
         let now_from_prev = prior.cam_left_prev_from_cam_left_now.unwrap_or_else(Pose::coincident).inverse().rotation();
         self.velocity = self
             .velocity
@@ -101,7 +111,7 @@ mod tests {
         let mut motion = Motion::resting(at(0.0));
         let prior = |dt_s| FramePrior { dt_s: Some(dt_s), ..FramePrior::default() };
         motion.learn(&at(0.04), &prior(0.04));
-        let error = at(0.14).inverse() * motion.predict(&prior(0.10));
+        let error = at(0.14).inverse() * motion.expect(&prior(0.10)).pose;
         assert!(error.log().norm() < 1e-9, "{error:?}");
     }
 
@@ -111,11 +121,24 @@ mod tests {
         let prior = FramePrior { cam_left_prev_from_cam_left_now: Some(prev_from_now), ..FramePrior::default() };
         let mut motion = Motion::resting(pose());
         let second = prev_from_now.inverse() * pose();
-        assert!((motion.predict(&prior).inverse() * second).log().norm() < 1e-12);
+        assert!((motion.expect(&prior).pose.inverse() * second).log().norm() < 1e-12);
         motion.learn(&second, &prior);
         // A stationary target has no velocity of its own while the camera moves.
         let third = prev_from_now.inverse() * second;
-        assert!((motion.predict(&prior).inverse() * third).log().norm() < 1e-12);
+        assert!((motion.expect(&prior).pose.inverse() * third).log().norm() < 1e-12);
+    }
+
+    #[test]
+    fn a_coasted_pose_is_behind_the_expected_one_and_a_given_pose_is_taken_as_it_is() {
+        let at = |x_m: f64| Pose::from_parts(pose().translation_m() + Vector3::new(x_m, 0.0, 0.0), pose().rotation());
+        let mut motion = Motion::resting(at(0.0));
+        motion.learn(&at(0.010), &FramePrior::default());
+        let Expected { pose: expected, coasted } = motion.expect(&FramePrior::default());
+        assert!((at(0.020).inverse() * expected).log().norm() < 1e-9);
+        assert!((at(0.010 + COASTING * 0.010).inverse() * coasted).log().norm() < 1e-9);
+        let given = FramePrior { cam_left_from_model: Some(at(0.5)), ..FramePrior::default() };
+        let Expected { pose: expected, coasted } = motion.expect(&given);
+        assert!((expected.inverse() * coasted).log().norm() < 1e-12);
     }
 
     #[test]
@@ -124,7 +147,7 @@ mod tests {
         let prior = FramePrior::default();
         for frame in 0..10_000 {
             let wobble = Vector6::new(1e-4, -2e-4, 1e-4, 0.01, 0.02, -0.015) * f64::from(frame % 7);
-            let found = motion.predict(&prior).perturbed_in_from(&(wobble * 0.1));
+            let found = motion.expect(&prior).pose.perturbed_in_from(&(wobble * 0.1));
             motion.learn(&found, &prior);
             if frame % 50 == 49 {
                 motion.restart(&pose());

@@ -7,17 +7,23 @@ use pb3dp_geometry::{Pose, StereoRig};
 use super::distinct::beyond_chance;
 use super::judge::Fit;
 
-/// Largest distance that a lost target may have moved, metres, and the increase per second. Chosen by hand, not varied:
-/// with more, other objects are accepted; with less, a target that accelerates stays lost.
-const REACH_M: f64 = 0.05;
-const SPEED_MAX_M_PER_S: f64 = 2.0;
+/// Largest distance that a lost target may have moved, as a share of its distance from the camera, and the increase per second:
+/// images do not show how large the world is. Chosen by hand, not varied: 50 mm and 2 m/s at half a metre. With more, other
+/// objects are accepted; with less, a target that accelerates stays lost.
+const REACH: f64 = 0.1;
+const SPEED_MAX_PER_S: f64 = 4.0;
 /// Largest angle that it may have rotated, radians (20 degrees), and the increase per second. Chosen by hand, not varied:
 /// as for the distance.
 const REACH_RAD: f64 = 0.35;
 const SPEED_MAX_RAD_PER_S: f64 = 6.0;
-/// Closer than this to the predicted pose, a candidate need not match better than noise allows. Chosen by hand, not varied:
-/// with more, background near the target is accepted; with less, a poor image loses a target that coasts.
-pub(super) const NEAR_M: f64 = 0.02;
+/// Closer than this to the predicted pose, a candidate need not match better than noise allows: a share of the target's radius,
+/// and of its distance from the camera. Chosen by hand, not varied: 20 mm for a square of 100 mm half a metre away. With more,
+/// background near the target is accepted; with less, a poor image loses a target that coasts.
+const NEAR_RADII: f64 = 0.3;
+const NEAR: f64 = 0.04;
+/// Share of the way that the prediction moves the target, by which the target may be farther from it: a prediction errs by as much
+/// as the velocity changes. Chosen by hand, not varied: half.
+const NEAR_SHARE_OF_WAY: f64 = 0.5;
 /// The same for the rotation. Chosen by hand, not varied: 9 degrees.
 const NEAR_RAD: f64 = 0.15;
 /// Farther away, both images must correlate with the view by at least this. Chosen by hand, not varied: with less, other
@@ -39,6 +45,10 @@ pub(super) struct Sighting<'a> {
     /// Distance from the predicted pose, metres and radians.
     pub(super) way_m: f64,
     pub(super) turn_rad: f64,
+    /// Distance within which the target is near the predicted pose, metres, see [`near_m`].
+    pub(super) near_m: f64,
+    /// Distance from the camera, metres.
+    pub(super) distance_m: f64,
     /// Time since the target was last found, seconds.
     pub(super) away_s: f64,
     /// Whether a similar object is known.
@@ -65,17 +75,18 @@ impl Sighting<'_> {
     }
 
     fn is_within_reach(&self) -> bool {
-        self.way_m <= REACH_M + SPEED_MAX_M_PER_S * self.away_s
+        self.way_m <= (REACH + SPEED_MAX_PER_S * self.away_s) * self.distance_m
             && self.turn_rad <= REACH_RAD + SPEED_MAX_RAD_PER_S * self.away_s
     }
 
     /// Whether a candidate away from the target could be mistaken for it.
     pub(super) fn is_another(&self) -> bool {
-        self.way_m > NEAR_M && self.is_clear()
+        self.way_m > self.near_m && self.is_clear()
     }
 
-    fn is_near(&self) -> bool {
-        self.way_m <= NEAR_M && self.turn_rad <= NEAR_RAD
+    /// Whether the candidate is near the predicted pose.
+    pub(super) fn is_near(&self) -> bool {
+        self.way_m <= self.near_m && self.turn_rad <= NEAR_RAD
     }
 
     fn is_clear(&self) -> bool {
@@ -85,6 +96,12 @@ impl Sighting<'_> {
             && share >= AFAR_INLIERS_MIN
             && beyond_chance(correlation, share, self.independent) >= BEYOND_CHANCE_MIN
     }
+}
+
+/// Distance from the predicted pose within which a target of this radius and distance is near it, metres, if the prediction moves
+/// it by `moved_m`.
+pub(super) fn near_m(radius_m: f64, distance_m: f64, moved_m: f64) -> f64 {
+    (NEAR_RADII * radius_m).min(NEAR * distance_m) + NEAR_SHARE_OF_WAY * moved_m
 }
 
 /// Share of an outline's points inside the image that contains fewer of them, whether occluded or not.
@@ -110,8 +127,32 @@ mod tests {
         Fit { correlation: [0.97, correlation], inlier_share: [0.95, share, 0.95], ..Fit::default() }
     }
 
+    /// A target with a radius of 70 mm, half a metre away.
+    fn sighting(fit: &Fit, way_m: f64, turn_rad: f64, away_s: f64) -> Sighting<'_> {
+        let near_m = near_m(0.07, 0.5, 0.0);
+        Sighting { fit, independent: 300.0, way_m, turn_rad, near_m, distance_m: 0.5, away_s, has_twin: false }
+    }
+
     fn can_be(fit: &Fit, independent: f64, way_m: f64, turn_rad: f64, away_s: f64) -> bool {
-        Sighting { fit, independent, way_m, turn_rad, away_s, has_twin: false }.can_be_the_target()
+        Sighting { independent, ..sighting(fit, way_m, turn_rad, away_s) }.can_be_the_target()
+    }
+
+    #[test]
+    fn a_world_ten_times_as_large_is_judged_alike() {
+        let (poor, clear) = (fit(0.5, 0.5), fit(0.97, 0.95));
+        for (fit, way_m) in [(&poor, 0.019), (&poor, 0.022), (&clear, 0.11), (&clear, 0.12)] {
+            let small = sighting(fit, way_m, 0.1, 0.033);
+            let near_m = near_m(0.7, 5.0, 0.0);
+            let large = Sighting { way_m: 10.0 * way_m, near_m, distance_m: 5.0, ..small };
+            assert_eq!(small.can_be_the_target(), large.can_be_the_target(), "{way_m}");
+            assert_eq!(small.is_another(), large.is_another(), "{way_m}");
+        }
+    }
+
+    #[test]
+    fn near_is_less_for_a_small_target_and_more_for_a_fast_one() {
+        assert!(near_m(0.01, 0.5, 0.0) < 0.004 && near_m(0.5, 0.5, 0.0) <= 0.02);
+        assert!(near_m(0.01, 0.5, 0.02) > near_m(0.01, 0.5, 0.0) + 0.009);
     }
 
     #[test]
@@ -132,9 +173,7 @@ mod tests {
 
     #[test]
     fn what_fits_poorly_has_not_moved_far_in_a_frame() {
-        let moved = |fit: &Fit, way_m, turn_rad| {
-            Sighting { fit, independent: 300.0, way_m, turn_rad, away_s: 0.0, has_twin: false }.can_have_moved()
-        };
+        let moved = |fit: &Fit, way_m, turn_rad| sighting(fit, way_m, turn_rad, 0.0).can_have_moved();
         assert!(moved(&fit(0.7, 0.6), 0.01, 0.05), "half hidden");
         assert!(!moved(&fit(0.7, 0.6), 0.01, 0.6) && !moved(&fit(0.7, 0.6), 0.06, 0.05));
         assert!(moved(&fit(0.97, 0.95), 0.06, 0.6), "few frames per second");
@@ -143,8 +182,7 @@ mod tests {
     #[test]
     fn a_target_with_a_twin_is_believed_only_where_it_is_expected() {
         let clear = fit(0.97, 0.95);
-        let seen =
-            |way_m| Sighting { fit: &clear, independent: 300.0, way_m, turn_rad: 0.0, away_s: 0.1, has_twin: true };
+        let seen = |way_m| Sighting { has_twin: true, ..sighting(&clear, way_m, 0.0, 0.1) };
         assert!(seen(0.01).can_be_the_target() && !seen(0.1).can_be_the_target());
         assert!(seen(0.1).is_another() && !seen(0.01).is_another());
     }

@@ -1,5 +1,7 @@
-//! Search for a lost target: in the whole left image at an eighth of the resolution, then along the disparities of each
-//! candidate.
+//! Search for a lost target: in the whole left image at an eighth of the resolution, a small one at a quarter, then along the
+//! disparities of each candidate.
+
+use std::ops::Range;
 
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
@@ -7,8 +9,9 @@ use pb3dp_estimation_core::wide::{LANES, wide};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Camera, Pose, StereoRig, so3};
 
-use super::images::{CameraImages, LEVELS, Texel, texel_at};
+use super::images::{CameraImages, LEVELS, Texel, TexelPlane, texel_at};
 use super::kernels::{CHANNELS, SurfaceGroup, ViewGroup};
+use super::surface::Surface;
 use super::view::View;
 use crate::kernels::{Correlation, MomentSums};
 
@@ -17,8 +20,18 @@ const POINTS_MAX: usize = 64;
 /// Smallest number of points of a template. Chosen by hand, not varied: with less, a template fits anywhere; with more,
 /// small targets are found only near their expected position.
 const POINTS_MIN: usize = 12;
+/// Number of points at which a coarser level is preferred. Chosen by hand, not varied: half of [`POINTS_MAX`].
+pub(super) const POINTS_PREFERRED: usize = 32;
+/// The finest level that is searched. Chosen: time grows fourfold with each level. A square of 20 px still has 12 points there.
+const FINEST: usize = LEVELS - 2;
 /// Number of positions kept from each search. Chosen by hand, not varied: with more, alignments take time.
 pub(super) const PLACES: usize = 3;
+/// Number of positions that are compared again at the next finer level, if the search was not at the coarsest: few points fit in
+/// many places. Chosen by hand, not varied: the comparison takes little time beside the search.
+const PLACES_COMPARED: usize = 16;
+/// Distance within which the next finer level is compared, its pixels. Derived: a pixel of the searched level has two of them in a
+/// row, and rounding moves the template's points by up to one.
+const COMPARED_WITHIN_PX: usize = 3;
 /// Range of tested depths, as a factor on the template's depth. Chosen by hand, not varied: more than
 /// `direct.tracker.view_scale` (1.4), by which a target may differ from its nearest view.
 const DEPTH_REACH: f64 = 1.6;
@@ -36,7 +49,7 @@ pub(super) struct Place {
     pub(super) correlation: f64,
 }
 
-/// A template point: its offset from the template's centre, whole pixels of the coarsest level, and its channels.
+/// A template point: its offset from the template's centre, whole pixels of the searched level, and its channels.
 #[derive(Clone, Copy, Debug, Default)]
 struct TemplatePoint {
     offset_px: [i32; 2],
@@ -51,10 +64,19 @@ pub(super) struct Searcher {
     scores: Vec<f32>,
 }
 
+impl Surface {
+    /// The coarsest level with enough points for a template; `None` if the target is too small.
+    fn searched_level(&self) -> Option<usize> {
+        let has = |level: usize, points| self.levels[level].points() >= points;
+        let is_preferred = |&level: &usize| has(level, POINTS_PREFERRED);
+        (FINEST + 1..LEVELS).rev().find(is_preferred).or_else(|| has(FINEST, POINTS_MIN).then_some(FINEST))
+    }
+}
+
 impl Searcher {
     /// Allocates buffers for images of this size.
     pub(super) fn new(width: u32, height: u32, kernels: Kernels) -> Self {
-        let side = 1_usize << (LEVELS - 1);
+        let side = 1_usize << FINEST;
         Self {
             kernels,
             template: Vec::with_capacity(POINTS_MAX),
@@ -65,66 +87,58 @@ impl Searcher {
     /// The best positions of the target in the left image, with the rotation and the depth of `hypothesis`.
     pub(super) fn places(
         &mut self,
-        groups: &[SurfaceGroup],
-        view: &[ViewGroup],
+        surface: &Surface,
+        view: &View,
         hypothesis: &Pose<CamLeft, Model>,
         left: &CameraImages,
         camera: &Camera,
     ) -> [Option<Place>; PLACES] {
-        if !self.make_template(groups, view, hypothesis, camera) {
-            return [None; PLACES];
-        }
-        let plane = &left.levels[LEVELS - 1];
-        let (width, height) = (plane.width, plane.height);
-        self.scores.clear();
-        self.scores.resize(width * height, -1.0);
-        for (y, scores) in self.scores.chunks_exact_mut(width.max(1)).enumerate() {
-            score_row(self.kernels, &self.template, &plane.texels, width, height, y, scores);
-        }
         let mut places = [None; PLACES];
-        for place in &mut places {
-            let best = (0..width * height).max_by(|&a, &b| self.scores[a].total_cmp(&self.scores[b]));
-            let Some(best) = best.filter(|&best| self.scores[best] > 0.2) else { break };
-            let (x, y) = (best % width, best / width);
-            *place = self.place(x, y, best, hypothesis, left, camera);
-            for (row, column) in (y.saturating_sub(2)..(y + 3).min(height))
-                .flat_map(|row| (x.saturating_sub(2)..(x + 3).min(width)).map(move |column| (row, column)))
-            {
-                self.scores[row * width + column] = -1.0;
-            }
+        let Some(level) = surface.searched_level() else { return places };
+        if !self.make_template(level, surface, view, hypothesis, camera) {
+            return places;
+        }
+        let plane = &left.levels[level];
+        self.scores.clear();
+        self.scores.resize(plane.width * plane.height, -1.0);
+        for (y, scores) in self.scores.chunks_exact_mut(plane.width.max(1)).enumerate() {
+            score_row(self.kernels, &self.template, plane, [0, y], scores);
+        }
+        let is_coarsest = level == LEVELS - 1;
+        let mut best = [None; PLACES_COMPARED];
+        let wanted = if is_coarsest { PLACES } else { PLACES_COMPARED };
+        for best in best.iter_mut().take(wanted) {
+            *best = take_best(&mut self.scores, plane);
+        }
+        let mut level = level;
+        if !is_coarsest && self.make_template(level - 1, surface, view, hypothesis, camera) {
+            level -= 1;
+            let compare = |peak: Peak| compared(self.kernels, &self.template, &left.levels[level], peak.px);
+            best.iter_mut().for_each(|peak| *peak = peak.map(compare));
+            let correlation = |peak: &Option<Peak>| peak.map_or(f32::NEG_INFINITY, |peak| peak.correlation);
+            best.sort_unstable_by(|a, b| correlation(b).total_cmp(&correlation(a)));
+        }
+        for (place, peak) in places.iter_mut().zip(best.into_iter().flatten()) {
+            *place = place_at(peak, level, hypothesis, left, camera);
         }
         places
     }
 
-    fn place(
-        &self,
-        x: usize,
-        y: usize,
-        index: usize,
-        hypothesis: &Pose<CamLeft, Model>,
-        left: &CameraImages,
-        camera: &Camera,
-    ) -> Option<Place> {
-        let side = f64::from(1_u32 << (LEVELS - 1));
-        let raw = |x: usize, origin: i32| f64::from(origin) + (x as f64 + 0.5) * side - 0.5;
-        let ray = camera.unproject(&Vector2::new(raw(x, left.window.x), raw(y, left.window.y))).ok()?;
-        let cam_left_from_model = moved_to_ray(hypothesis, &ray);
-        Some(Place { cam_left_from_model, correlation: f64::from(self.scores[index]) })
-    }
-
     fn make_template(
         &mut self,
-        groups: &[SurfaceGroup],
-        view: &[ViewGroup],
+        level: usize,
+        surface: &Surface,
+        view: &View,
         hypothesis: &Pose<CamLeft, Model>,
         camera: &Camera,
     ) -> bool {
+        let (groups, view) = (&surface.levels[level].groups, &view.levels[level]);
         self.template.clear();
         let pinhole = camera.pinhole();
         let frontal = moved_to_ray(hypothesis, &Vector3::z());
         let count: f32 = view.iter().map(|view| view.valid.sum()).sum();
         let keep_every = (count as usize).div_ceil(POINTS_MAX).max(1);
-        let side = f64::from(1_u32 << (LEVELS - 1));
+        let side = f64::from(1_u32 << level);
         let mut index = 0;
         for (group, view) in groups.iter().zip(view) {
             for i in (0..LANES).filter(|&i| view.valid.0[i] * group.mask.0[i] > 0.0) {
@@ -154,21 +168,72 @@ fn moved_to_ray(hypothesis: &Pose<CamLeft, Model>, ray: &Vector3<f64>) -> Pose<C
     Pose::from_parts(ray * from.z, turn * hypothesis.rotation())
 }
 
+/// A position in a level with its correlation.
+#[derive(Clone, Copy, Debug)]
+struct Peak {
+    px: [usize; 2],
+    correlation: f32,
+}
+
+/// The position with the highest score, which is removed together with its neighbours.
+fn take_best(scores: &mut [f32], plane: &TexelPlane) -> Option<Peak> {
+    let (width, height) = (plane.width, plane.height);
+    let best = (0..width * height).max_by(|&a, &b| scores[a].total_cmp(&scores[b]))?;
+    let peak = Peak { px: [best % width, best / width], correlation: scores[best] };
+    let [columns, rows] = around(peak.px, 2, plane);
+    for row in rows {
+        scores[row * width..][columns.clone()].fill(-1.0);
+    }
+    (peak.correlation > 0.2).then_some(peak)
+}
+
+/// Columns and rows of a level at most this far from a pixel.
+fn around(px: [usize; 2], reach: usize, plane: &TexelPlane) -> [Range<usize>; 2] {
+    let range = |at: usize, length: usize| at.saturating_sub(reach)..(at + reach + 1).min(length);
+    [range(px[0], plane.width), range(px[1], plane.height)]
+}
+
+/// The best position near that of a pixel of the next coarser level.
+fn compared(kernels: Kernels, template: &[TemplatePoint], plane: &TexelPlane, px: [usize; 2]) -> Peak {
+    let centre = px.map(|x| 2 * x);
+    let mut best = Peak { px: centre, correlation: -1.0 };
+    let [columns, rows] = around(centre, COMPARED_WITHIN_PX, plane);
+    for row in rows {
+        let mut scores = [-1.0; 2 * COMPARED_WITHIN_PX + 1];
+        score_row(kernels, template, plane, [columns.start, row], &mut scores[..columns.len()]);
+        for (column, correlation) in columns.clone().zip(scores) {
+            if correlation > best.correlation {
+                best = Peak { px: [column, row], correlation };
+            }
+        }
+    }
+    best
+}
+
+fn place_at(
+    peak: Peak,
+    level: usize,
+    hypothesis: &Pose<CamLeft, Model>,
+    left: &CameraImages,
+    camera: &Camera,
+) -> Option<Place> {
+    let side = f64::from(1_u32 << level);
+    let raw = |x: usize, origin: i32| f64::from(origin) + (x as f64 + 0.5) * side - 0.5;
+    let ray = camera.unproject(&Vector2::new(raw(peak.px[0], left.window.x), raw(peak.px[1], left.window.y))).ok()?;
+    let cam_left_from_model = moved_to_ray(hypothesis, &ray);
+    Some(Place { cam_left_from_model, correlation: f64::from(peak.correlation) })
+}
+
 wide! {
-    /// Correlation of the template at the pixels of a row, over all channels.
-    fn score_row(template: &[TemplatePoint], texels: &[Texel], width: usize, height: usize, y: usize, scores: &mut [f32]) = score_row_kernel;
+    /// Correlation of the template at the pixels of a row from `start` (column, row) on, over all channels.
+    fn score_row(template: &[TemplatePoint], plane: &TexelPlane, start: [usize; 2], scores: &mut [f32]) = score_row_kernel;
 }
 
 #[inline(always)]
-fn score_row_kernel(
-    template: &[TemplatePoint],
-    texels: &[Texel],
-    width: usize,
-    height: usize,
-    y: usize,
-    scores: &mut [f32],
-) {
+fn score_row_kernel(template: &[TemplatePoint], plane: &TexelPlane, [first, y]: [usize; 2], scores: &mut [f32]) {
+    let (texels, width, height) = (&plane.texels, plane.width, plane.height);
     for (x, score) in scores.iter_mut().enumerate() {
+        let x = first + x;
         let mut count = 0.0_f32;
         let mut sums = MomentSums::<[f32; 4]>::default();
         for point in template {

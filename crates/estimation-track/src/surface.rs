@@ -43,6 +43,13 @@ pub(super) struct SurfaceLevel {
     pub(super) lens: [Vec<LensGroup>; 2],
 }
 
+impl SurfaceLevel {
+    /// Number of points.
+    pub(super) fn points(&self) -> usize {
+        self.groups.iter().map(|group| group.mask.sum() as usize).sum()
+    }
+}
+
 /// The surface in the frame `model`.
 #[derive(Clone, Debug)]
 pub(super) struct Surface {
@@ -173,7 +180,7 @@ impl Surface {
 
     /// Number of points at full resolution.
     pub(super) fn points(&self) -> usize {
-        self.levels[0].groups.iter().map(|group| group.mask.sum() as usize).sum()
+        self.levels[0].points()
     }
 
     /// Linearises the lens of a camera at the expected positions of a level's points. A lens without distortion is linear

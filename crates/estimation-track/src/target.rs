@@ -19,8 +19,8 @@ use super::judge::{Fit, Limits, Misfit};
 use super::kernels::{CHANNELS, ROW, TERMS};
 use super::normal::{Free, NormalEquations};
 use super::one_surface::{Pair, Part, is_curved, largest_part};
-use super::predict::Motion;
-use super::reach::Sighting;
+use super::predict::{Expected, Motion};
+use super::reach::{Sighting, near_m};
 use super::search::{Searcher, mirrored};
 use super::shape::Shares;
 use super::stereo_relief;
@@ -226,10 +226,11 @@ impl Target {
     /// Aligns from a predicted pose, and evaluates the fit.
     pub(super) fn follow(
         &mut self,
-        predicted: &Pose<CamLeft, Model>,
+        expected: &Expected,
         frame: &Frame<'_>,
         may_continue: &mut dyn FnMut() -> bool,
     ) -> Ending {
+        let predicted = &expected.pose;
         self.view = self.nearest_view(predicted, frame.config).0;
         let mut found = self.attempt(predicted, StartLevel::Resembling, frame, may_continue);
         if !found.as_ref().is_some_and(|_| self.fits_well()) && may_continue() {
@@ -245,12 +246,18 @@ impl Target {
         }
         let equations = self.settle(equations, predicted, 0.0, frame, may_continue);
         self.learn(&equations);
-        if let Some(keep) = &self.keep {
-            // Elsewhere noise would move the pose, frame by frame and further each time.
-            let moved = (predicted.inverse() * self.estimate.cam_left_from_model).log();
-            self.estimate.cam_left_from_model = predicted.perturbed_in_from(&(keep * moved));
-        }
+        self.keep_unseen(expected);
         Ending::Found
+    }
+
+    /// Takes motions that the images do not show from the expected pose: otherwise noise would move the pose along them, frame by frame
+    /// and further each time. Their velocity decreases, since nothing confirms it.
+    fn keep_unseen(&mut self, Expected { pose, coasted }: &Expected) {
+        if let Some(keep) = &self.keep {
+            let found = (pose.inverse() * self.estimate.cam_left_from_model).log();
+            let coasted = (pose.inverse() * *coasted).log();
+            self.estimate.cam_left_from_model = pose.perturbed_in_from(&(coasted + keep * (found - coasted)));
+        }
     }
 
     /// Keeps the result, or takes that of another start if it fits better.
@@ -457,9 +464,13 @@ impl Target {
     /// The estimate as a candidate, relative to the expected pose.
     fn sighting(&self, expected: &Pose<CamLeft, Model>) -> Sighting<'_> {
         let found = &self.estimate.cam_left_from_model;
+        let distance_m = expected.translation_m().norm();
+        let moved_m = (expected.translation_m() - self.motion.cam_left_from_model.translation_m()).norm();
         Sighting {
             fit: &self.fit,
             independent: self.independent_points,
+            near_m: near_m(self.surface.radius_m, distance_m, moved_m),
+            distance_m,
             way_m: (found.translation_m() - expected.translation_m()).norm(),
             turn_rad: found.rotation().angle_to(&expected.rotation()),
             away_s: self.away_s,

@@ -210,7 +210,7 @@ impl DirectTracker {
         self.was_started = true;
         check_image_sizes(&self.rig, left, right)?;
         let mask = region.rasterize(left, &self.region_config)?;
-        let inner = mask.erode(self.config.erosion_px);
+        let inner = mask.erode(self.erosion_px(&mask));
         let outline_px = region.outline_px(&mask);
         let q = plane.inverse_depth_plane;
         let Some(mut target) = self.first_target(left, right, &outline_px, &mask, &inner, q)? else {
@@ -222,7 +222,7 @@ impl DirectTracker {
         let mut is_part = false;
         for round in 0..PARTS_MAX {
             let Some(part) = target.largest_part(round > 0) else { break };
-            pixels = part.pixels(&target.surface.relief, &pixels, self.config.erosion_px / 2);
+            pixels = part.pixels(&target.surface.relief, &pixels, self.erosion_px(&pixels[0]) / 2);
             let [own, inside] = &pixels;
             let Some(next) = self.first_target(left, right, &outline_px, own, inside, part.plane)? else {
                 let reason =
@@ -251,6 +251,12 @@ impl DirectTracker {
             estimate.warnings.push(EstimateWarning::PartFollowed { percent });
         }
         Ok(estimate)
+    }
+
+    /// Width of the border that is excluded: less in a small region, which would lose most of its pixels.
+    fn erosion_px(&self, region: &RegionMask) -> u32 {
+        let share = EROSION_SHARE_MAX * (region.area_px() as f64).sqrt();
+        self.config.erosion_px.min(share.round() as u32)
     }
 
     /// A target with points in the `inner` pixels of a region, near a plane; `None` if there are too few.
@@ -350,15 +356,15 @@ impl DirectTracker {
             target.motion.coast(prior);
             return Ending::Stuck(side);
         }
-        let predicted = target.motion.predict(prior);
+        let expected = target.motion.expect(prior);
         let mut ending = Ending::OutOfSight;
         if target.lost_frames == 0 {
             let margin = if target.motion.is_known() { MARGIN_PX } else { MARGIN_UNSURE_PX };
             let margin = margin.max(target.margin_of_periods_px(self.rig.left().pinhole().fx));
-            self.load(left, right, &predicted, &target.outline_in_model, margin);
+            self.load(left, right, &expected.pose, &target.outline_in_model, margin);
             let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
             let before = target.estimate;
-            ending = target.follow(&predicted, &frame, may_continue);
+            ending = target.follow(&expected, &frame, may_continue);
             if ending != Ending::Found {
                 target.estimate = before;
             }
@@ -369,7 +375,7 @@ impl DirectTracker {
             if may_continue() {
                 self.load_whole(left, right);
                 let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
-                let again = target.search(&predicted, &frame, may_continue);
+                let again = target.search(&expected, &frame, may_continue);
                 // The misfit at the predicted pose is more informative than a failed search elsewhere.
                 if again == Ending::Found || ending == Ending::OutOfSight {
                     ending = again;
@@ -569,6 +575,9 @@ type FirstSurface = (Surface, Pose<CamLeft, Model>);
 /// Largest number of attempts to find one surface in the remainder of a region with several. Chosen by hand, not varied:
 /// time of a start grows with it.
 const PARTS_MAX: usize = 4;
+/// Largest share of the side of a square as large as the region that is excluded at each of its borders. Chosen by hand, not varied:
+/// 6 px of a square of 50 px, 2 px of one of 20 px.
+const EROSION_SHARE_MAX: f64 = 0.12;
 /// Smallest number of points of a target. Chosen by hand, not varied: five for each of eight values of an alignment.
 const POINTS_MIN: usize = 40;
 

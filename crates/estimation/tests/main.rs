@@ -32,4 +32,5 @@ mod published_track_safety;
 mod raw_rigs;
 mod rig_plan;
 mod robustness;
+mod small_targets;
 mod track_no_surface;

@@ -8,8 +8,9 @@ use crate::align::{AlignmentPlan, Estimate, StartLevel};
 use crate::images::LEVELS;
 use crate::judge::Fit;
 use crate::normal::{Free, NormalEquations};
-use crate::reach::{NEAR_M, in_sight};
-use crate::search::{PLACES, Place, depth_by_stereo, hypotheses, hypothesis};
+use crate::predict::Expected;
+use crate::reach::{Sighting, in_sight};
+use crate::search::{PLACES, POINTS_PREFERRED, Place, depth_by_stereo, hypotheses, hypothesis};
 
 /// Number of templates per frame while the target is lost. Chosen by hand: with this and the next three a lost frame took
 /// less than 10 ms.
@@ -45,10 +46,11 @@ impl Target {
     /// Searches for a lost target in whole images.
     pub(crate) fn search(
         &mut self,
-        predicted: &Pose<CamLeft, Model>,
+        expected: &Expected,
         frame: &Frame<'_>,
         may_continue: &mut dyn FnMut() -> bool,
     ) -> Ending {
+        let predicted = &expected.pose;
         let before = self.estimate;
         let lost_frames = f64::from(self.lost_frames);
         let is_outside = in_sight(&self.outline_in_model, predicted, frame.rig) < VISIBLE_MIN;
@@ -67,15 +69,20 @@ impl Target {
             self.estimate = before;
             match self.look_into(candidate, frame, may_continue) {
                 Ok(equations) if self.sighting(predicted).can_be_the_target() => {
+                    let is_near = self.sighting(predicted).is_near();
                     let equations = self.settle(equations, predicted, lost_frames, frame, may_continue);
                     self.conclude(&equations, false);
+                    if is_near {
+                        self.keep_unseen(expected);
+                    }
                     return Ending::Found;
                 }
                 Ok(_) => {
                     ending = Ending::OutOfReach;
                     let sighting = self.sighting(predicted);
-                    let (view, way_m, estimate, fit) = (self.view, sighting.way_m, self.estimate, self.fit);
-                    *alike = sighting.is_one_of_two().then_some(Alike { view, way_m, estimate, fit });
+                    let Sighting { way_m, near_m, .. } = sighting;
+                    let (view, estimate, fit) = (self.view, self.estimate, self.fit);
+                    *alike = sighting.is_one_of_two().then_some(Alike { view, way_m, near_m, estimate, fit });
                 }
                 Err(Ending::OutOfSight) => {}
                 Err(other) => ending = other,
@@ -127,10 +134,11 @@ impl Target {
     }
 
     fn with_depth(&self, pose: &Pose<CamLeft, Model>, frame: &Frame<'_>) -> Option<Pose<CamLeft, Model>> {
-        const LEVEL: usize = 2; // Chosen by hand, not varied: time grows on finer levels, steps of depth grow on coarser ones.
+        // Chosen by hand, not varied: time grows on finer levels, steps of depth grow on coarser ones.
+        let level = if self.surface.levels[2].points() >= POINTS_PREFERRED { 2 } else { 1 };
         let view = self.nearest_view(pose, frame.config).0;
-        let (groups, view) = (&self.surface.levels[LEVEL].groups, &self.views[view].levels[LEVEL]);
-        depth_by_stereo(groups, view, LEVEL, pose, &frame.images[1], frame.rig)
+        let (groups, view) = (&self.surface.levels[level].groups, &self.views[view].levels[level]);
+        depth_by_stereo(groups, view, level, pose, &frame.images[1], frame.rig)
     }
 
     /// Candidate positions from this frame's share of the templates.
@@ -152,9 +160,7 @@ impl Target {
 
     /// Positions in the left image that look like a view of the target from this pose.
     fn places_of(&mut self, view: usize, pose: &Pose<CamLeft, Model>, frame: &Frame<'_>) -> [Option<Place>; PLACES] {
-        const LEVEL: usize = LEVELS - 1; // The level of the images that the searcher reads.
-        let (groups, view) = (&self.surface.levels[LEVEL].groups, &self.views[view].levels[LEVEL]);
-        self.searcher.places(groups, view, pose, &frame.images[0], frame.rig.left())
+        self.searcher.places(&self.surface, &self.views[view], pose, &frame.images[0], frame.rig.left())
     }
 }
 
@@ -162,8 +168,9 @@ impl Target {
 #[derive(Clone, Copy, Debug)]
 struct Alike {
     view: usize,
-    /// Distance from the predicted pose, metres.
+    /// Distance from the predicted pose, and distance within which a target is near it, metres.
     way_m: f64,
+    near_m: f64,
     estimate: Estimate,
     fit: Fit,
 }
@@ -173,7 +180,7 @@ fn nearest_of_several(alike: &[Option<Alike>]) -> Option<Alike> {
     let all = || alike.iter().flatten();
     let nearest = all().min_by(|a, b| a.way_m.total_cmp(&b.way_m))?;
     let place = |alike: &Alike| alike.estimate.cam_left_from_model.translation_m();
-    let mut others = all().filter(|other| (place(other) - place(nearest)).norm() > NEAR_M).peekable();
+    let mut others = all().filter(|other| (place(other) - place(nearest)).norm() > nearest.near_m).peekable();
     let is_clear = others.peek().is_some() && others.all(|other| other.way_m > CLEARLY_NEARER * nearest.way_m);
     is_clear.then_some(*nearest)
 }

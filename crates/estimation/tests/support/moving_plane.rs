@@ -10,9 +10,20 @@ use pb3dp_geometry::frames::{CamLeft, Target};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig, so3};
 
 pub const SIZE: ImageSize = ImageSize { width: 320, height: 240 };
+pub const VGA: ImageSize = ImageSize { width: 640, height: 480 };
 /// Radius of the disc, metres.
 pub const RADIUS_M: f64 = 0.055;
 const WALL_Z_M: f64 = 0.75;
+
+/// Equal cameras side by side, 640 x 480 pixels; the baseline is this many times that of [`rectified_rig`].
+pub fn vga_rig(baseline: f64) -> StereoRig {
+    let camera = |cx| {
+        let pinhole = Pinhole { fx: 600.0, fy: 600.0, cx, cy: 241.0 };
+        Camera::new(VGA, pinhole, Distortion::None).expect("camera")
+    };
+    let pose = Pose::from_translation(Vector3::new(-0.1 * baseline, 0.0, 0.0));
+    StereoRig::new(camera(318.0), camera(323.0), pose).expect("rig")
+}
 
 /// Equal cameras side by side.
 pub fn rectified_rig() -> StereoRig {
@@ -52,6 +63,17 @@ fn paint(x: f64, y: f64, seed: f64) -> [f64; 3] {
     [grey + 20.0 * wave(70.0, -50.0, 0.1), grey, grey - 25.0 * wave(40.0, 110.0, 0.9)]
 }
 
+/// A painted disc.
+#[derive(Clone, Copy)]
+pub struct Disc {
+    pub radius_m: f64,
+    /// Factor by which its paint is finer.
+    pub fineness: f64,
+}
+
+/// The disc of most tests.
+pub const USUAL: Disc = Disc { radius_m: RADIUS_M, fineness: 1.0 };
+
 /// Content of an image.
 #[derive(Clone, Copy)]
 pub struct Shot {
@@ -70,28 +92,38 @@ pub fn render(rig: &StereoRig, shot: &Shot) -> (RgbImage, RgbImage) {
 
 /// Renders a pair with several equal discs that occlude each other in this order; ignores the pose in `shot`.
 pub fn render_all(rig: &StereoRig, discs: &[Pose<CamLeft, Target>], shot: &Shot) -> (RgbImage, RgbImage) {
-    let left = image(rig.left(), &Isometry3::identity(), (discs, shot), 1.0, 0);
-    let right = image(rig.right(), rig.cam_right_from_cam_left().isometry(), (discs, shot), shot.right_gain, 1);
+    render_discs(rig, &USUAL, discs, shot)
+}
+
+/// As [`render_all`], with discs of another size.
+pub fn render_discs(
+    rig: &StereoRig,
+    disc: &Disc,
+    discs: &[Pose<CamLeft, Target>],
+    shot: &Shot,
+) -> (RgbImage, RgbImage) {
+    let left = image(rig.left(), &Isometry3::identity(), (disc, discs, shot), 1.0, 0);
+    let right = image(rig.right(), rig.cam_right_from_cam_left().isometry(), (disc, discs, shot), shot.right_gain, 1);
     (left, right)
 }
 
 fn image(
     camera: &Camera,
     cam_from_left: &Isometry3<f64>,
-    (discs, shot): (&[Pose<CamLeft, Target>], &Shot),
+    (own, discs, shot): (&Disc, &[Pose<CamLeft, Target>], &Shot),
     gain: f64,
     side: u32,
 ) -> RgbImage {
     let left_from_cam = cam_from_left.inverse();
     let origin = left_from_cam * Point3::origin();
     let discs_from_left: Vec<Isometry3<f64>> = discs.iter().map(|pose| *pose.inverse().isometry()).collect();
-    RgbImage::from_fn(SIZE.width, SIZE.height, |x, y| {
+    RgbImage::from_fn(camera.size().width, camera.size().height, |x, y| {
         let ray = camera.unproject(&Vector2::new(f64::from(x), f64::from(y))).expect("ray");
         let ray = left_from_cam * ray;
         let disc = discs_from_left.iter().find_map(|to_target| {
             let (from, along) = (to_target * origin, to_target * ray);
             let at = from - along * (from.z / along.z);
-            (at.x.hypot(at.y) < RADIUS_M).then(|| paint(at.x, at.y, 0.0))
+            (at.x.hypot(at.y) < own.radius_m).then(|| paint(at.x * own.fineness, at.y * own.fineness, 0.0))
         });
         let colour = disc.unwrap_or_else(|| {
             let wall = origin + ray * ((WALL_Z_M - origin.z) / ray.z);
@@ -112,9 +144,14 @@ pub fn noise(x: u32, y: u32, stream: u32) -> f64 {
 
 /// The region that an operator would draw.
 pub fn region(rig: &StereoRig, pose: &Pose<CamLeft, Target>) -> Region {
+    region_of(&USUAL, rig, pose)
+}
+
+/// As [`region`], for a disc of another size.
+pub fn region_of(disc: &Disc, rig: &StereoRig, pose: &Pose<CamLeft, Target>) -> Region {
     let vertices_px = (0..40).map(|i| {
         let angle = std::f64::consts::TAU * f64::from(i) / 40.0;
-        let point = Point3::new(RADIUS_M * angle.cos(), RADIUS_M * angle.sin(), 0.0);
+        let point = Point3::new(disc.radius_m * angle.cos(), disc.radius_m * angle.sin(), 0.0);
         rig.left().project(&pose.transform_point(&point)).expect("in front")
     });
     Region::Polygon { vertices_px: vertices_px.collect() }
