@@ -38,6 +38,9 @@ const DEPTH_REACH: f64 = 1.6;
 /// Largest number of tested depths. Chosen by hand, not varied: enough for steps of 2 px and disparities of 328 px;
 /// farther, the steps are wider.
 const DEPTHS_MAX: usize = 160;
+/// Number of points that are compared at each depth, if their target has as many. Chosen by hand, not varied: the time of a candidate
+/// grows with it.
+const POINTS_OF_DEPTH: usize = 96;
 /// Smallest share of a template inside the image. Chosen by hand, not varied: with less, templates at the border of the
 /// image fit by chance.
 const VISIBLE_MIN: f64 = 0.7;
@@ -49,7 +52,8 @@ pub(super) struct Place {
     pub(super) correlation: f64,
 }
 
-/// A template point: its offset from the template's centre, whole pixels of the searched level, and its channels.
+/// A template point: its offset from the template's centre, whole pixels of the searched level, and its channels without their mean;
+/// the fourth is zero.
 #[derive(Clone, Copy, Debug, Default)]
 struct TemplatePoint {
     offset_px: [i32; 2],
@@ -157,6 +161,7 @@ impl Searcher {
                 }
             }
         }
+        centre(&mut self.template);
         self.template.len() >= POINTS_MIN
     }
 }
@@ -166,6 +171,15 @@ fn moved_to_ray(hypothesis: &Pose<CamLeft, Model>, ray: &Vector3<f64>) -> Pose<C
     let from = hypothesis.translation_m();
     let turn = nalgebra::UnitQuaternion::rotation_between(&from, ray).unwrap_or_default();
     Pose::from_parts(ray * from.z, turn * hypothesis.rotation())
+}
+
+/// Takes the means out of the channels.
+fn centre(template: &mut [TemplatePoint]) {
+    let count = template.len().max(1) as f32;
+    for c in 0..CHANNELS {
+        let mean = template.iter().map(|point| point.value[c]).sum::<f32>() / count;
+        template.iter_mut().for_each(|point| point.value[c] -= mean);
+    }
 }
 
 /// A position in a level with its correlation.
@@ -229,39 +243,94 @@ wide! {
     fn score_row(template: &[TemplatePoint], plane: &TexelPlane, start: [usize; 2], scores: &mut [f32]) = score_row_kernel;
 }
 
+/// Pixels that are compared at the same time: their texels fill the lanes.
+const BLOCK: usize = LANES / 4;
+
 #[inline(always)]
 fn score_row_kernel(template: &[TemplatePoint], plane: &TexelPlane, [first, y]: [usize; 2], scores: &mut [f32]) {
-    let (texels, width, height) = (&plane.texels, plane.width, plane.height);
-    for (x, score) in scores.iter_mut().enumerate() {
-        let x = first + x;
-        let mut count = 0.0_f32;
-        let mut sums = MomentSums::<[f32; 4]>::default();
-        for point in template {
-            let (column, row) = (x as i32 + point.offset_px[0], y as i32 + point.offset_px[1]);
-            if column < 0 || row < 0 || column >= width as i32 || row >= height as i32 {
-                continue;
-            }
-            let (a, b) = (&point.value, &texels[row as usize * width + column as usize]);
-            count += 1.0;
-            for c in 0..4 {
-                sums.view[c] += a[c];
-                sums.image[c] += b[c];
-                sums.view_squared[c] += a[c] * a[c];
-                sums.image_squared[c] += b[c] * b[c];
-                sums.product[c] += a[c] * b[c];
-            }
+    let offsets = |axis: usize| template.iter().map(move |point| point.offset_px[axis]);
+    let [(left, right), (up, down)] = [0, 1].map(|axis| {
+        let (low, high) = (offsets(axis).min().unwrap_or(0), offsets(axis).max().unwrap_or(0));
+        (low.min(0).unsigned_abs() as usize, high.max(0) as usize)
+    });
+    let is_inside = y >= up && y + down < plane.height;
+    let mut x = 0;
+    while x < scores.len() {
+        let column = first + x;
+        let has_block = is_inside && column >= left && column + right + BLOCK <= plane.width;
+        if has_block && x + BLOCK <= scores.len() {
+            scores[x..x + BLOCK].copy_from_slice(&score_block(template, plane, [column, y]));
+            x += BLOCK;
+        } else {
+            scores[x] = score_at_border(template, plane, [column, y]);
+            x += 1;
         }
-        // The fourth lane counts saturated pixels.
-        let (mut aa, mut bb, mut ab) = (0.0, 0.0, 0.0);
-        let MomentSums { view: a, image: b, view_squared, image_squared, product } = &sums;
-        for c in 0..CHANNELS {
-            aa += view_squared[c] - a[c] * a[c] / count;
-            bb += image_squared[c] - b[c] * b[c] / count;
-            ab += product[c] - a[c] * b[c] / count;
-        }
-        let is_visible = count >= template.len() as f32 * VISIBLE_MIN as f32;
-        *score = if is_visible && aa > 1.0 && bb > 1.0 { ab / (aa * bb).sqrt() } else { -1.0 };
     }
+}
+
+/// Correlations at adjacent pixels at which the whole template is inside the image.
+#[inline(always)]
+fn score_block(template: &[TemplatePoint], plane: &TexelPlane, [x, y]: [usize; 2]) -> [f32; BLOCK] {
+    let (mut sums, mut squares, mut products) = ([0.0_f32; LANES], [0.0_f32; LANES], [0.0_f32; LANES]);
+    let mut own_squared = 0.0;
+    for TemplatePoint { offset_px: [dx, dy], value } in template {
+        let (column, row) = (x as i32 + dx, y as i32 + dy);
+        let texels = plane.texels[row as usize * plane.width + column as usize..][..BLOCK].as_flattened();
+        for i in 0..LANES {
+            sums[i] += texels[i];
+            squares[i] += texels[i] * texels[i];
+            products[i] += texels[i] * value[i % 4];
+        }
+        own_squared += value[0] * value[0] + value[1] * value[1] + value[2] * value[2];
+    }
+    let inverse_count = 1.0 / template.len() as f32;
+    std::array::from_fn(|pixel| {
+        // The fourth lane counts saturated pixels.
+        let (mut squared, mut product) = (0.0, 0.0);
+        for i in 4 * pixel..4 * pixel + CHANNELS {
+            squared += squares[i] - sums[i] * sums[i] * inverse_count;
+            product += products[i];
+        }
+        correlation(own_squared, squared, product)
+    })
+}
+
+/// Correlation at a pixel at which a part of the template may be outside the image; -1 if too much of it is.
+#[inline(always)]
+fn score_at_border(template: &[TemplatePoint], plane: &TexelPlane, [x, y]: [usize; 2]) -> f32 {
+    let mut count = 0.0_f32;
+    let mut sums = MomentSums::<[f32; CHANNELS]>::default();
+    for TemplatePoint { offset_px: [dx, dy], value } in template {
+        let (column, row) = (x as i32 + dx, y as i32 + dy);
+        if column < 0 || row < 0 || column >= plane.width as i32 || row >= plane.height as i32 {
+            continue;
+        }
+        let texel = &plane.texels[row as usize * plane.width + column as usize];
+        count += 1.0;
+        for c in 0..CHANNELS {
+            sums.view[c] += value[c];
+            sums.image[c] += texel[c];
+            sums.view_squared[c] += value[c] * value[c];
+            sums.image_squared[c] += texel[c] * texel[c];
+            sums.product[c] += value[c] * texel[c];
+        }
+    }
+    if count < template.len() as f32 * VISIBLE_MIN as f32 {
+        return -1.0;
+    }
+    let (mut own, mut image, mut product) = (0.0, 0.0, 0.0);
+    for c in 0..CHANNELS {
+        let (a, b) = (sums.view[c], sums.image[c]);
+        own += sums.view_squared[c] - a * a / count;
+        image += sums.image_squared[c] - b * b / count;
+        product += sums.product[c] - a * b / count;
+    }
+    correlation(own, image, product)
+}
+
+#[inline(always)]
+fn correlation(squared: f32, other_squared: f32, product: f32) -> f32 {
+    if squared > 1.0 && other_squared > 1.0 { product / (squared * other_squared).sqrt() } else { -1.0 }
 }
 
 /// Moves a pose along its ray to the distance at which the right image fits the view best.
@@ -304,8 +373,9 @@ fn right_correlation(
     let moved: Pose<CamLeft, Model> = Pose::from_parts(pose.translation_m() * scale, pose.rotation());
     let cam_right: Isometry3<f64> = *(*rig.cam_right_from_cam_left() * moved).isometry();
     let (mut correlation, mut tried) = (Correlation::default(), 0.0);
+    let keep_every = (groups.len() * LANES).div_ceil(POINTS_OF_DEPTH).max(1);
     for (group, view) in groups.iter().zip(view) {
-        for i in (0..LANES).step_by(2).filter(|&i| view.valid.0[i] * group.mask.0[i] > 0.0) {
+        for i in (0..LANES).step_by(keep_every).filter(|&i| view.valid.0[i] * group.mask.0[i] > 0.0) {
             tried += 1.0;
             let point = cam_right * Point3::from(group.point.map(|x| f64::from(x.0[i])));
             let Some(pixel) = rig.right().project(&point) else { continue };
@@ -348,7 +418,37 @@ pub(super) fn hypotheses(views: usize) -> usize {
 
 #[cfg(test)]
 mod tests {
+    use pb3dp_estimation_core::rng::SplitMix64;
+
     use super::*;
+
+    /// Inside the image, blocks of pixels give what the border gives pixel by pixel.
+    #[test]
+    fn a_block_is_compared_as_its_pixels_are() {
+        let mut random = SplitMix64::new(11);
+        let mut number = |most: f64| random.unit() * most;
+        let (width, height) = (40, 30);
+        let texels = (0..width * height).map(|_| std::array::from_fn(|_| number(200.0) as f32)).collect();
+        let plane = TexelPlane { width, height, texels };
+        let mut template: Vec<TemplatePoint> = (0..30)
+            .map(|_| TemplatePoint {
+                offset_px: [number(15.0) as i32 - 9, number(11.0) as i32 - 3],
+                value: [number(90.0) as f32, number(60.0) as f32, number(20.0) as f32, 0.0],
+            })
+            .collect();
+        centre(&mut template);
+        let mut blocks = 0;
+        for y in 0..height {
+            let mut scores = vec![0.0; width - 3];
+            score_row_kernel(&template, &plane, [3, y], &mut scores);
+            for (x, score) in scores.iter().enumerate() {
+                let alone = score_at_border(&template, &plane, [x + 3, y]);
+                assert!((score - alone).abs() < 1e-4, "({x}, {y}): {score} and {alone}");
+                blocks += u32::from(*score != alone);
+            }
+        }
+        assert!(blocks > 0, "some pixels were compared in blocks");
+    }
 
     #[test]
     fn a_mirrored_tilt_is_as_large_on_the_other_side() {
