@@ -313,4 +313,30 @@ Of the 43 scenes 14 gain cases and 1 loses 2, so a choice without any one scene 
 Straddling windows: 288 of 340 pass, before 273; small ones 152 of 169, before 143.
 With `search.quick_share_min` at 0.75 (more regions get the finer search) 751 pass and 4 are wrong and `ok`, but the NEES of rendered shells of 10 mm grows from 1.2 to 7.7: their surface is not recognised as one there.
 Without a gain: penalties of the aggregation, uniqueness, the left-right check, more draws or candidates, a tolerance of 0.35 or 0.7 px, weights of patches, a second level of refinement, only the finest search.
+
+### The scenes that were held back
+
+12 scenes were chosen before anybody looked at them (`crates/benchmarks/held_back.txt`) and were opened once, on 27 November 2026, with the values of commit 5836fac6.
+`cargo xtask bench real -- --leave-one-scene-out --open-held-back ...` repeats it.
+
+| group | n | pass | left out above | answered | ok | wrong ok | in 2 sigmas %, depth / normal | best other tool |
+|---|---:|---:|---:|---:|---:|---:|---:|---|
+| textured | 14 | 14 | 98 % | 14 | 14 | 0 | 100 / 86 | sgbm 14 |
+| boards | 3 | 3 | 100 % | 3 | 3 | 0 | 100 / 100 | sgbm 3 |
+| small | 10 | 8 | 81 % | 10 | 7 | 0 | 100 / 100 | bm 10 |
+| straddling | 8 | 6 | 76 % | 8 | 5 | 1 | 88 / 75 | sgbm3way 8 |
+| low texture | 7 | 5 | 75 % | 6 | 3 | 0 | 100 / 100 | sgbm 5 |
+| all planar | 42 | 36 | 89 % | 41 | 32 | 1 | 98 / 90 | bm 36 |
+
+No group is more than 4 points below the scenes left out, so the constants do not follow single scenes.
+What remains is the method's own: the wrong `ok` is a folded cloth (`Cloth1_occl`): a plane through the fold is within 1.5 px of 84 % of the region, the plane of its larger side within 0.35 px of 55 %.
+Two small regions of `terrains_2s` have disparities of 10 px, and the normal is off by 7 and 10 degrees; both are `weak-tilt`.
+In a group of 8 to 10 cases one case is 10 to 13 points, so windows were drawn in the eight scenes of images as well, after they were opened:
+
+| 160 random windows of these scenes | n | pass | ok | wrong ok | in 2 sigmas %, depth / normal | bm | sgbm3way |
+|---|---:|---:|---:|---:|---:|---:|---:|
+| textured | 22 | 22 | 22 | 0 | 95 / 100 | 22 | 22 |
+| small | 48 | 46 | 47 | 0 | 81 / 96 | 46 | 37 |
+| straddling | 77 | 63 | 56 | 0 | 86 / 91 | 60 | 50 |
+| low texture | 13 | 8 | 6 | 1 | 90 / 100 | 9 | 6 |
 ";
