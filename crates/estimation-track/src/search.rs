@@ -41,6 +41,8 @@ const DEPTHS_MAX: usize = 160;
 /// Number of points that are compared at each depth, if their target has as many. Chosen by hand, not varied: the time of a candidate
 /// grows with it.
 const POINTS_OF_DEPTH: usize = 96;
+/// Smallest correlation of a position or a depth that is examined. Chosen by hand, not varied: it only saves time.
+const CORRELATION_MIN: f64 = 0.2;
 /// Smallest share of a template inside the image. Chosen by hand, not varied: with less, templates at the border of the
 /// image fit by chance.
 const VISIBLE_MIN: f64 = 0.7;
@@ -198,7 +200,7 @@ fn take_best(scores: &mut [f32], plane: &TexelPlane) -> Option<Peak> {
     for row in rows {
         scores[row * width..][columns.clone()].fill(-1.0);
     }
-    (peak.correlation > 0.2).then_some(peak)
+    (f64::from(peak.correlation) > CORRELATION_MIN).then_some(peak)
 }
 
 /// Columns and rows of a level at most this far from a pixel.
@@ -333,13 +335,14 @@ fn correlation(squared: f32, other_squared: f32, product: f32) -> f32 {
     if squared > 1.0 && other_squared > 1.0 { product / (squared * other_squared).sqrt() } else { -1.0 }
 }
 
-/// Moves a pose along its ray to the distance at which the right image fits the view best.
+/// Moves a pose along its ray to the distance at which both images fit the view best: the right image at another disparity, the left
+/// one at another size. The right image alone would take a neighbouring copy of a texture that repeats.
 pub(super) fn depth_by_stereo(
     groups: &[SurfaceGroup],
     view: &[ViewGroup],
     level: usize,
     pose: &Pose<CamLeft, Model>,
-    right: &CameraImages,
+    images: &[CameraImages; 2],
     rig: &StereoRig,
 ) -> Option<Pose<CamLeft, Model>> {
     let z = pose.translation_m().z;
@@ -347,40 +350,42 @@ pub(super) fn depth_by_stereo(
     let (near, far) = (focal_baseline / (z / DEPTH_REACH), focal_baseline / (z * DEPTH_REACH));
     let step_px = 0.5 * f64::from(1_u32 << level);
     let count = (((near - far) / step_px).ceil() as usize).clamp(2, DEPTHS_MAX);
-    let mut best: Option<(f64, f64)> = None;
+    let mut best: Option<(f64, Pose<CamLeft, Model>)> = None;
     for k in 0..count {
         let disparity = far + (near - far) * k as f64 / (count - 1) as f64;
-        let scale = focal_baseline / disparity / z;
-        let correlation = right_correlation(groups, view, level, pose, scale, right, rig);
+        let moved = Pose::from_parts(pose.translation_m() * (focal_baseline / disparity / z), pose.rotation());
+        let in_right = *rig.cam_right_from_cam_left() * moved;
+        let cameras = [(rig.left(), moved.isometry()), (rig.right(), in_right.isometry())];
+        let correlation: f64 = images
+            .iter()
+            .zip(cameras)
+            .map(|(image, (camera, cam_from_model))| correlation_at(groups, view, level, cam_from_model, image, camera))
+            .sum();
         if best.is_none_or(|(value, _)| correlation > value) {
-            best = Some((correlation, scale));
+            best = Some((correlation, moved));
         }
     }
-    let (correlation, scale) = best?;
-    (correlation > 0.2).then(|| Pose::from_parts(pose.translation_m() * scale, pose.rotation()))
+    best.and_then(|(correlation, moved)| (correlation > 2.0 * CORRELATION_MIN).then_some(moved))
 }
 
-/// Correlation of the right image with the surface at another distance.
-fn right_correlation(
+/// Correlation of an image with the surface at a pose.
+fn correlation_at(
     groups: &[SurfaceGroup],
     view: &[ViewGroup],
     level: usize,
-    pose: &Pose<CamLeft, Model>,
-    scale: f64,
-    right: &CameraImages,
-    rig: &StereoRig,
+    cam_from_model: &Isometry3<f64>,
+    image: &CameraImages,
+    camera: &Camera,
 ) -> f64 {
-    let moved: Pose<CamLeft, Model> = Pose::from_parts(pose.translation_m() * scale, pose.rotation());
-    let cam_right: Isometry3<f64> = *(*rig.cam_right_from_cam_left() * moved).isometry();
     let (mut correlation, mut tried) = (Correlation::default(), 0.0);
     let keep_every = (groups.len() * LANES).div_ceil(POINTS_OF_DEPTH).max(1);
     for (group, view) in groups.iter().zip(view) {
         for i in (0..LANES).step_by(keep_every).filter(|&i| view.valid.0[i] * group.mask.0[i] > 0.0) {
             tried += 1.0;
-            let point = cam_right * Point3::from(group.point.map(|x| f64::from(x.0[i])));
-            let Some(pixel) = rig.right().project(&point) else { continue };
+            let point = cam_from_model * Point3::from(group.point.map(|x| f64::from(x.0[i])));
+            let Some(pixel) = camera.project(&point) else { continue };
             let at = [pixel.x as f32, pixel.y as f32];
-            if let Some([y, a, b, _]) = texel_at(right, level, at) {
+            if let Some([y, a, b, _]) = texel_at(image, level, at) {
                 correlation.add(1.0, view.value.map(|v| v.0[i]), [y, a, b]);
             }
         }
