@@ -38,9 +38,6 @@ const DEPTH_REACH: f64 = 1.6;
 /// Largest number of tested depths. Chosen by hand, not varied: enough for steps of 2 px and disparities of 328 px;
 /// farther, the steps are wider.
 const DEPTHS_MAX: usize = 160;
-/// Number of points that are compared at each depth, if their target has as many. Chosen by hand, not varied: the time of a candidate
-/// grows with it.
-const POINTS_OF_DEPTH: usize = 96;
 /// Smallest correlation of a position or a depth that is examined. Chosen by hand, not varied: it only saves time.
 const CORRELATION_MIN: f64 = 0.2;
 /// Smallest share of a template inside the image. Chosen by hand, not varied: with less, templates at the border of the
@@ -335,14 +332,13 @@ fn correlation(squared: f32, other_squared: f32, product: f32) -> f32 {
     if squared > 1.0 && other_squared > 1.0 { product / (squared * other_squared).sqrt() } else { -1.0 }
 }
 
-/// Moves a pose along its ray to the distance at which both images fit the view best: the right image at another disparity, the left
-/// one at another size. The right image alone would take a neighbouring copy of a texture that repeats.
+/// Moves a pose along its ray to the distance at which the right image fits the view best.
 pub(super) fn depth_by_stereo(
     groups: &[SurfaceGroup],
     view: &[ViewGroup],
     level: usize,
     pose: &Pose<CamLeft, Model>,
-    images: &[CameraImages; 2],
+    right: &CameraImages,
     rig: &StereoRig,
 ) -> Option<Pose<CamLeft, Model>> {
     let z = pose.translation_m().z;
@@ -354,18 +350,13 @@ pub(super) fn depth_by_stereo(
     for k in 0..count {
         let disparity = far + (near - far) * k as f64 / (count - 1) as f64;
         let moved = Pose::from_parts(pose.translation_m() * (focal_baseline / disparity / z), pose.rotation());
-        let in_right = *rig.cam_right_from_cam_left() * moved;
-        let cameras = [(rig.left(), moved.isometry()), (rig.right(), in_right.isometry())];
-        let correlation: f64 = images
-            .iter()
-            .zip(cameras)
-            .map(|(image, (camera, cam_from_model))| correlation_at(groups, view, level, cam_from_model, image, camera))
-            .sum();
+        let cam_right = *rig.cam_right_from_cam_left() * moved;
+        let correlation = correlation_at(groups, view, level, cam_right.isometry(), right, rig.right());
         if best.is_none_or(|(value, _)| correlation > value) {
             best = Some((correlation, moved));
         }
     }
-    best.and_then(|(correlation, moved)| (correlation > 2.0 * CORRELATION_MIN).then_some(moved))
+    best.and_then(|(correlation, moved)| (correlation > CORRELATION_MIN).then_some(moved))
 }
 
 /// Correlation of an image with the surface at a pose.
@@ -378,9 +369,8 @@ fn correlation_at(
     camera: &Camera,
 ) -> f64 {
     let (mut correlation, mut tried) = (Correlation::default(), 0.0);
-    let keep_every = (groups.len() * LANES).div_ceil(POINTS_OF_DEPTH).max(1);
     for (group, view) in groups.iter().zip(view) {
-        for i in (0..LANES).step_by(keep_every).filter(|&i| view.valid.0[i] * group.mask.0[i] > 0.0) {
+        for i in (0..LANES).step_by(2).filter(|&i| view.valid.0[i] * group.mask.0[i] > 0.0) {
             tried += 1.0;
             let point = cam_from_model * Point3::from(group.point.map(|x| f64::from(x.0[i])));
             let Some(pixel) = camera.project(&point) else { continue };

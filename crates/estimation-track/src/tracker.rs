@@ -239,8 +239,8 @@ impl DirectTracker {
         }
         self.load_whole(left, right);
         let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
-        target.look_for_twins(&frame);
         target.find_periods(&frame, &pixels[0]);
+        target.look_for_twins(&frame);
         self.remember(&target, left, right);
         let mut estimate = blank();
         self.target = Some(target);

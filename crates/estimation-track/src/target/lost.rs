@@ -1,6 +1,5 @@
 //! The search for a lost target in whole images.
 
-use nalgebra::{Point2, Point3};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Model};
 
@@ -27,7 +26,8 @@ const ROUGH_RESEMBLANCE_MIN: f64 = 0.5;
 const CLEARLY_NEARER: f64 = 2.0;
 
 impl Target {
-    /// Searches the whole first pair for similar objects.
+    /// Searches the whole first pair for similar objects. A copy inside a texture that repeats is none: [`Self::settle`] tells copies
+    /// apart.
     pub(crate) fn look_for_twins(&mut self, frame: &Frame<'_>) {
         let (estimate, fit) = (self.estimate, self.fit);
         let own = estimate.cam_left_from_model;
@@ -37,7 +37,7 @@ impl Target {
             for place in self.places_of(0, &turned, frame).into_iter().flatten() {
                 self.estimate = estimate;
                 let fits = self.look_into(Candidate { place, with_depth: true }, frame, &mut || true).is_ok();
-                let is_another = self.sighting(&own).is_another() && !self.hides(&own);
+                let is_another = self.sighting(&own).is_another() && !self.is_copy_of(&own);
                 self.has_twin |= fits && self.fit.misfit(&limits).is_none() && is_another;
             }
         }
@@ -102,18 +102,6 @@ impl Target {
         ending
     }
 
-    /// Whether the estimate and a target at `own` would hide each other: such a candidate is no other object, but the target itself,
-    /// displaced by a period of its texture or along the line of sight.
-    fn hides(&self, own: &Pose<CamLeft, Model>) -> bool {
-        let own_from_cam = own.inverse();
-        let (camera, sight) = (
-            own_from_cam.transform_point(&Point3::origin()),
-            own_from_cam.transform_vector(&self.estimate.cam_left_from_model.translation_m()),
-        );
-        let at = camera - sight * (camera.z / sight.z);
-        at.iter().all(|x| x.is_finite()) && is_inside(&self.outline_in_model, at.xy())
-    }
-
     /// Aligns at a candidate position, and evaluates the fit.
     fn look_into(
         &mut self,
@@ -152,7 +140,7 @@ impl Target {
         let level = if self.surface.levels[2].points() >= POINTS_PREFERRED { 2 } else { 1 };
         let view = self.nearest_view(pose, frame.config).0;
         let (groups, view) = (&self.surface.levels[level].groups, &self.views[view].levels[level]);
-        depth_by_stereo(groups, view, level, pose, frame.images, frame.rig)
+        depth_by_stereo(groups, view, level, pose, &frame.images[1], frame.rig)
     }
 
     /// Candidate positions from this frame's share of the templates.
@@ -176,14 +164,6 @@ impl Target {
     fn places_of(&mut self, view: usize, pose: &Pose<CamLeft, Model>, frame: &Frame<'_>) -> [Option<Place>; PLACES] {
         self.searcher.places(&self.surface, &self.views[view], pose, &frame.images[0], frame.rig.left())
     }
-}
-
-/// Whether a point of the plane of an outline is inside it, by the even-odd rule.
-fn is_inside(outline: &[Point3<f64>], at: Point2<f64>) -> bool {
-    let edges = outline.iter().zip(outline.iter().cycle().skip(1));
-    let crossed =
-        edges.filter(|(a, b)| (a.y > at.y) != (b.y > at.y) && at.x < a.x + (at.y - a.y) / (b.y - a.y) * (b.x - a.x));
-    crossed.count() % 2 == 1
 }
 
 /// A candidate that looks like the target as much as its twin does.
@@ -229,22 +209,4 @@ fn insert(candidates: &mut [Option<Candidate>; CANDIDATES + 1], place: Place) {
     }
     candidates[index..].rotate_right(1);
     candidates[index] = Some(Candidate { place, with_depth: true });
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_point_is_inside_an_outline_or_not() {
-        // An L.
-        let corners = [[0.0, 0.0], [3.0, 0.0], [3.0, 1.0], [1.0, 1.0], [1.0, 2.0], [0.0, 2.0]];
-        let outline = corners.map(|[x, y]| Point3::new(x, y, 0.0));
-        for (x, y, inside) in
-            [(0.5, 1.5, true), (2.5, 0.5, true), (2.0, 1.5, false), (-0.1, 0.5, false), (0.5, 2.1, false)]
-        {
-            assert_eq!(is_inside(&outline, Point2::new(x, y)), inside, "({x}, {y})");
-        }
-        assert!(!is_inside(&[], Point2::origin()));
-    }
 }

@@ -44,6 +44,22 @@ const STEPS: usize = 3;
 const MARGIN_PX: f64 = 16.0;
 const MARGIN_MAX_PX: f64 = 120.0;
 
+/// Largest number of each of two periods in a displacement. Chosen by hand, not varied: a board of 9 squares has no more.
+const PERIODS_MAX: i32 = 8;
+/// Largest distance from a whole number of periods, shortest periods. Chosen by hand, not varied: an alignment ends nearer.
+const OFF_PERIOD: f64 = 0.15;
+
+/// Whether a displacement is a sum of whole numbers of up to two periods.
+fn is_sum_of(shifts_m: &[Vector2<f64>], displacement_m: &Vector3<f64>) -> bool {
+    let zero = Vector2::zeros();
+    let (first, second) = (shifts_m.first().unwrap_or(&zero), shifts_m.get(1).unwrap_or(&zero));
+    let Some(shortest_m) = shifts_m.iter().map(|shift| shift.norm()).reduce(f64::min) else { return false };
+    let numbers = || (-PERIODS_MAX..=PERIODS_MAX).map(f64::from);
+    numbers()
+        .flat_map(|i| numbers().map(move |j| first * i + second * j))
+        .any(|sum| (displacement_m - Vector3::new(sum.x, sum.y, 0.0)).norm() <= OFF_PERIOD * shortest_m)
+}
+
 /// What is known about the periods of a target.
 #[derive(Clone, Debug)]
 pub(super) struct Periodic {
@@ -113,6 +129,12 @@ impl Target {
     pub(crate) fn doubtful_period_m(&self) -> Option<f64> {
         let periodic = self.periodic.as_ref().filter(|periodic| periodic.in_doubt)?;
         periodic.shifts_m.iter().map(|shift| shift.norm()).reduce(f64::min)
+    }
+
+    /// Whether the estimate is the target at `own`, displaced by some of its periods.
+    pub(crate) fn is_copy_of(&self, own: &Pose<CamLeft, Model>) -> bool {
+        let apart = (own.inverse() * self.estimate.cam_left_from_model).translation_m();
+        self.periodic.as_ref().is_some_and(|periodic| is_sum_of(&periodic.shifts_m, &apart))
     }
 
     /// The margin that displaced poses need around the predicted target, pixels.
@@ -260,5 +282,22 @@ impl Target {
         let correlations = rival.correlate(view);
         let fit = Fit::measure(&rival.seen[0], view, &rival.residuals, &correlations, points, &self.reference);
         Some((fit, estimate.cam_left_from_model))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_displacement_is_a_whole_number_of_periods_or_not() {
+        let shifts_m = [Vector2::new(0.02, 0.001), Vector2::new(-0.001, 0.03)];
+        let sums = [(1.0, 0.0, true), (-2.0, 3.0, true), (0.5, 0.0, false), (1.1, 1.0, true), (1.0, 0.8, false)];
+        for (i, j, expected) in sums {
+            let at = shifts_m[0] * i + shifts_m[1] * j;
+            assert_eq!(is_sum_of(&shifts_m, &Vector3::new(at.x, at.y, 0.0)), expected, "{i}, {j}");
+        }
+        assert!(!is_sum_of(&shifts_m, &Vector3::new(0.02, 0.001, 0.01)), "nearer to the camera");
+        assert!(!is_sum_of(&[], &Vector3::zeros()) && is_sum_of(&shifts_m[..1], &Vector3::new(0.04, 0.002, 0.0)));
     }
 }
