@@ -8,6 +8,7 @@
 //! | acceleration | the change of a joint's speed within 20 ms, and within 100 ms, is within its limit |
 //! | rest-after-latch | after a latched fault or emergency stop of either arm both are stationary, until it is cleared |
 //! | rest-without-pose | without a fresh, confident pose the hand's arm is stationary |
+//! | rest-while-inhibited | while a condition of the supervisor inhibits motion, and until it has been gone for some time, the hand's arm is stationary |
 //! | search | a hand that searches for its target stays within the search range and speed |
 //! | rest-without-word | an arm is stationary unless the operator's last command permits its motion |
 //! | latch-cleared | only the operator's reset clears a latch |
@@ -45,6 +46,8 @@ pub enum Invariant {
     RestAfterLatch,
     /// Standstill without a fresh, confident pose; rad/s, or radians of creep.
     RestWithoutPose,
+    /// Standstill of the hand while a condition inhibits motion; rad/s, or radians of creep.
+    RestWhileInhibited,
     /// The search for a lost target; metres, or m/s.
     Search,
     /// Standstill without the operator's command; rad/s, or radians of creep.
@@ -65,13 +68,14 @@ pub enum Invariant {
 
 impl Invariant {
     /// All invariants.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::Record,
         Self::Position,
         Self::Speed,
         Self::Acceleration,
         Self::RestAfterLatch,
         Self::RestWithoutPose,
+        Self::RestWhileInhibited,
         Self::Search,
         Self::RestWithoutWord,
         Self::LatchCleared,
@@ -91,6 +95,7 @@ impl Invariant {
             Self::Acceleration => "acceleration",
             Self::RestAfterLatch => "rest-after-latch",
             Self::RestWithoutPose => "rest-without-pose",
+            Self::RestWhileInhibited => "rest-while-inhibited",
             Self::Search => "search",
             Self::RestWithoutWord => "rest-without-word",
             Self::LatchCleared => "latch-cleared",

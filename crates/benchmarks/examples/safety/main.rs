@@ -7,6 +7,7 @@ mod effects;
 mod faults;
 mod figures;
 mod page;
+mod program_log;
 #[cfg(feature = "disabled-guards")]
 mod proofs;
 mod recorder;
@@ -141,8 +142,10 @@ fn trace(judged: &Judged) {
     for (fault, became) in scenario.faults.iter().zip(&ran.became) {
         println!("{:7.3} to {:7.3} s  {:?}: {}", fault.from_s, fault.until_s(), fault.kind, became.name());
     }
-    for line in &ran.truth.log {
-        println!("{:7.3} s  {}", line.t_millis as f64 * 1e-3, line.text);
+    let mut lines: Vec<_> = ran.notes.iter().chain(&ran.truth.log).collect();
+    lines.sort_by_key(|line| line.t_millis);
+    for line in lines {
+        println!("{:7.3} s  {}", line.t_millis as f64 * 1e-3, line.text.trim_start());
     }
     let rules = Rules::of_the_rig();
     for (arm, rules) in rules.arms.iter().enumerate() {

@@ -9,9 +9,13 @@ use anyhow::{Context, Result};
 use nalgebra::{Matrix6, Vector3, Vector6};
 use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
 use pb3dp_cell::cell::FreeTarget;
+use pb3dp_cell::channels::Plan;
 use pb3dp_cell::halves::{Course, Mover, Watcher};
+use pb3dp_cell::journal::Journal;
+use pb3dp_cell::log::RunLog;
 use pb3dp_cell::looking::Looking;
 use pb3dp_cell::moving::{Moved, Moving};
+use pb3dp_cell::operator::Operator;
 use pb3dp_cell::percept::Percept;
 use pb3dp_cell::strip::Strip;
 use pb3dp_geometry::MonotonicTime;
@@ -22,14 +26,15 @@ use pb3dp_setup::setup::{Carrier, Leader, Pace, Setup, read_setup};
 use pb3dp_sim::camera_faults::CameraFaultKind;
 use pb3dp_wiring::{Wired, wire_cell};
 use system_tests::repository;
-use system_tests::safety::truth::Truth;
+use system_tests::safety::truth::{LogLine, Truth};
 
 use crate::cameras;
 use crate::effects::{self, Became};
 use crate::faults::{Fault, Kind};
+use crate::program_log::ProgramLog;
 use crate::recorder::{Recorder, Shared, lock};
 use crate::scenario::{Dice, Scenario};
-use crate::speaker::Speaker;
+use crate::speaker::{Overheard, Speaker};
 use crate::telling::Faults;
 
 /// Length of the history; disabling both arms takes less.
@@ -71,6 +76,8 @@ pub struct Ran {
     pub became: Vec<Became>,
     /// Start of the control loop after that of the camera, seconds.
     pub lead_s: f64,
+    /// Commands, conditions and latches, for a trace.
+    pub notes: Vec<LogLine>,
 }
 
 /// Runs a scenario.
@@ -109,14 +116,16 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
         (Strip::default(), &parts.clock),
         None,
     )?;
-    let mut moving = Moving::new(&setup, (parts.vs, parts.tc), &*parts.experiment, now)?;
-    if scenario.has_person {
-        let speaker = Speaker::new(scenario, Arc::clone(&clock), Arc::clone(&recorder));
-        moving = moving.with_operator(Box::new(speaker));
-    }
+    let operator: Box<dyn Operator> = match scenario.has_person {
+        true => Box::new(Speaker::new(scenario, Arc::clone(&clock), Arc::clone(&recorder))),
+        false => Box::new(Overheard::new(Arc::clone(&clock), Arc::clone(&recorder))),
+    };
+    let moving = Moving::new(&setup, (parts.vs, parts.tc), &*parts.experiment, now)?.with_operator(operator);
+    let plan = Plan::of(&scenario.motion, &*parts.experiment);
     let cell = parts.cell;
     let mut watching = Watching {
         looking,
+        journal: Journal::new(&setup, (now, scenario.run_s), (RunLog::default(), plan)),
         begin_cell: Box::new(move |begin| cell.begin_at(begin)),
         scenario,
         clock: Arc::clone(&clock),
@@ -141,16 +150,22 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
     let interrupt = AtomicBool::new(false);
     let duration = Duration::from_secs_f64(scenario.run_s);
     let course = Course { setup: &setup, clock: &clock, duration, interrupt: &interrupt };
-    let outcome = course.run_in_lockstep(&mut watching, &mut faulty);
+    let log = ProgramLog::new(Arc::clone(&clock));
+    let outcome = tracing::subscriber::with_default(log.clone(), || course.run_in_lockstep(&mut watching, &mut faulty));
     let lead_s = watching.begin.seconds_since(watching.wired);
     let ended = outcome.err().map(|error| format!("{error:#}"));
-    Ok(afterwards(scenario, lead_s, (&clock, &recorder), ended))
+    if let Some(ended) = &ended {
+        // The program prints the failure that ends it.
+        log.push(ended.clone());
+    }
+    let log = log.take(watching.begin);
+    Ok(afterwards(scenario, (lead_s, log), (&clock, &recorder), ended))
 }
 
 /// Observes both arms for a while, and collects what was noticed.
 fn afterwards(
     scenario: &Scenario,
-    lead_s: f64,
+    (lead_s, log): (f64, Vec<LogLine>),
     (clock, recorder): (&Arc<dyn Clock>, &Shared),
     ended: Option<String>,
 ) -> Ran {
@@ -162,16 +177,21 @@ fn afterwards(
         clock.sleep_until(clock.now() + LOOK);
         recording.catch_up(clock.now());
     }
+    recording.noticed_s.extend(log.iter().map(|line| line.t_millis as f64 * 1e-3));
+    recording.truth.log = log;
     let (times, resets_s) = (recording.times(), std::mem::take(&mut recording.resets_s));
     let faults = Faults { faults: &scenario.faults, times: &times, resets_s: &resets_s };
     recording.truth.injected = faults.to_be_told(&recording.truth);
     let became = effects::all(scenario, &times, &recording);
-    Ran { truth: std::mem::take(&mut recording.truth), ended, became, lead_s }
+    let notes = std::mem::take(&mut recording.notes);
+    Ran { truth: std::mem::take(&mut recording.truth), ended, became, lead_s, notes }
 }
 
 /// The perception thread with its faults.
 struct Watching<'a> {
     looking: Looking<'a>,
+    /// The part of the program that writes the log of a run.
+    journal: Journal,
     begin_cell: Box<dyn Fn(MonotonicTime)>,
     scenario: &'a Scenario,
     clock: Arc<dyn Clock>,
@@ -194,12 +214,14 @@ impl Watcher for Watching<'_> {
     fn begin_at(&mut self, begin: MonotonicTime) {
         (self.begin_cell)(begin);
         self.looking.begin_at(begin);
+        self.journal.begin_at(begin);
         self.begin = begin;
         lock(&self.recorder).begin_at(begin);
     }
 
     fn moved(&mut self, step: &Moved) {
         self.looking.push_joints(step.vs_joints);
+        self.journal.note(step, None);
         lock(&self.recorder).moved(step, self.clock.now());
     }
 
@@ -343,7 +365,7 @@ impl Mover for Faulty<'_> {
     }
 
     fn observe(&mut self, percept: Percept, now: MonotonicTime) {
-        lock(&self.recorder).delivered(&percept, self.clock.now());
+        lock(&self.recorder).delivered(&percept);
         self.inner.observe(percept, self.shown(now));
     }
 
@@ -363,7 +385,9 @@ impl Mover for Faulty<'_> {
                 lock(&self.recorder).ceased(index, self.clock.now());
             }
         }
-        let stepped = self.inner.step(self.shown(now));
+        let shown = self.shown(now);
+        lock(&self.recorder).stepping([now, shown], self.clock.now());
+        let stepped = self.inner.step(shown);
         if let Err(why) = &stepped {
             lock(&self.recorder).failed(why, self.clock.now());
         }

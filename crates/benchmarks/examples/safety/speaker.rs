@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use pb3dp_cell::operator::Operator;
+use pb3dp_cell::operator::{ByCommand, Operator};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
 use pb3dp_servo::supervisor::{Decision, OperatorCommand, OperatorInput, OperatorRequest, State};
@@ -26,6 +26,8 @@ pub struct Speaker {
     /// State for which the next command is meant, and its time.
     next: Option<(State, MonotonicTime)>,
     heard_at: Option<MonotonicTime>,
+    /// The command of this step is a reset.
+    resets: bool,
 }
 
 impl Speaker {
@@ -39,6 +41,7 @@ impl Speaker {
             recorder,
             next: None,
             heard_at: None,
+            resets: false,
         }
     }
 
@@ -99,11 +102,12 @@ impl Operator for Speaker {
         }
         self.heard_at = Some(now);
         let word = self.of_scenario(t_s).or_else(|| self.by_itself(last, at).map(|word| (word, 0.0)));
+        self.resets = word.is_some_and(|(word, _)| word == OperatorCommand::Reset);
         let mut recorder = lock(&self.recorder);
-        recorder.heard(at);
+        recorder.heard(now);
         let said = word.map(|(word, late_s)| {
             let late = Duration::from_secs_f64(late_s);
-            recorder.told(word, at - late, at);
+            recorder.told(word, now - late, at);
             OperatorRequest { word, at: now - late }
         });
         OperatorInput { said, heard_at: self.heard_at, silent_after: None }
@@ -112,8 +116,8 @@ impl Operator for Speaker {
     fn show(&mut self, _decision: &Decision) {}
 
     fn tell(&mut self, trouble: Option<String>) {
-        if let Some(trouble) = trouble {
-            lock(&self.recorder).say(self.clock.now(), format!("report to the operator: {trouble}"));
+        if trouble.is_some() && self.resets {
+            lock(&self.recorder).reset_failed();
         }
     }
 
@@ -123,5 +127,42 @@ impl Operator for Speaker {
 
     fn can_fall_silent(&self) -> bool {
         true
+    }
+}
+
+/// The operator of a run without a person: the program itself.
+pub struct Overheard {
+    clock: Arc<dyn Clock>,
+    recorder: Shared,
+}
+
+impl Overheard {
+    /// The same commands as [`ByCommand`], recorded.
+    pub fn new(clock: Arc<dyn Clock>, recorder: Shared) -> Self {
+        Self { clock, recorder }
+    }
+}
+
+impl Operator for Overheard {
+    fn listen(&mut self, last: Option<&Decision>, now: MonotonicTime) -> OperatorInput {
+        let input = ByCommand.listen(last, now);
+        let mut recorder = lock(&self.recorder);
+        recorder.heard(now);
+        if let Some(said) = input.said {
+            recorder.told(said.word, said.at, self.clock.now());
+        }
+        input
+    }
+
+    fn show(&mut self, _decision: &Decision) {}
+
+    fn tell(&mut self, _trouble: Option<String>) {}
+
+    fn is_person(&self) -> bool {
+        ByCommand.is_person()
+    }
+
+    fn can_fall_silent(&self) -> bool {
+        ByCommand.can_fall_silent()
     }
 }

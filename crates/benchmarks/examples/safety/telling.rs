@@ -150,6 +150,7 @@ mod tests {
                 world_from_target,
                 pose_age_s: 0.0,
                 may_search: false,
+                is_inhibited: false,
                 resets: 0,
                 state: "fault",
                 says_why: true,

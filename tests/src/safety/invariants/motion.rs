@@ -16,12 +16,14 @@ const SPEED_MORE_RAD_PER_S: f64 = 0.001;
 
 pub(super) fn check(rules: &Rules, steps: &[Step], found: &mut Found) {
     for arm in 0..2 {
-        let mut disobeyed = Disobedience::default();
-        for (index, step) in steps.iter().enumerate() {
-            disobeyed.look(rules, (arm, step), found);
-            let before = index.checked_sub(1).map(|before| &steps[before]);
-            position(&rules.arms[arm], (arm, step), disobeyed.may_be_out || is_free(&step.arms[arm]), found);
-            speed(rules, (arm, step, before), &mut disobeyed, found);
+        for joint in 0..7 {
+            let (mut range, mut disobeyed) = (Range::default(), Disobedience::default());
+            for (index, step) in steps.iter().enumerate() {
+                let before = index.checked_sub(1).map(|before| &steps[before]);
+                range.look(rules, (arm, joint, step), found);
+                speed(rules, (arm, joint), (step, before), &mut disobeyed, found);
+                disobeyed.look(rules, (arm, joint, step), found);
+            }
         }
         for window_s in WINDOWS_S {
             acceleration(rules, (arm, steps), window_s, found);
@@ -29,22 +31,45 @@ pub(super) fn check(rules: &Rules, steps: &[Step], found: &mut Found) {
     }
 }
 
-/// Whether nothing drives the joints: they fall or coast until the brakes hold.
-fn is_free(arm: &ArmTruth) -> bool {
-    !arm.servo_on
+/// The range of one joint. A joint that an injected fault moved out, or that fell out without a drive, may be out until it is back; as soon
+/// as the limiter controls it again, it goes no farther out.
+#[derive(Default)]
+struct Range {
+    may_be_out: bool,
+    /// No farther out than this, radians, since the joint obeys again.
+    farthest_rad: Option<f64>,
 }
 
-fn position(rules: &ArmRules, (arm, step): (usize, &Step), stops_only: bool, found: &mut Found) {
-    for joint in 0..7 {
-        let limit = match stops_only {
-            true => rules.mechanical_rad[joint],
-            false => rules.operating_rad[joint] + rules.operating_margin_rad,
-        };
-        let value = step.arms[arm].position_rad[joint].abs();
+impl Range {
+    fn look(&mut self, rules: &Rules, (arm, joint, step): (usize, usize, &Step), found: &mut Found) {
+        let (truth, rules) = (&step.arms[arm], (&rules.arms[arm], rules.cycle_s));
+        let value = truth.position_rad[joint].abs();
+        let limit = self.limit_rad(truth, joint, rules);
         if value > limit {
             let place = Place { invariant: Invariant::Position, arm: Some(arm), joint: Some(joint), t_s: step.t_s };
             found.push(place, (value, limit), "");
         }
+    }
+
+    fn limit_rad(&mut self, truth: &ArmTruth, joint: usize, (rules, cycle_s): (&ArmRules, f64)) -> f64 {
+        let operating_rad = rules.operating_rad[joint] + rules.operating_margin_rad;
+        let position_rad = truth.position_rad[joint].abs();
+        if truth.disobeys[joint] || !truth.driven[joint] {
+            self.may_be_out = true;
+            self.farthest_rad = None;
+            return rules.mechanical_rad[joint];
+        }
+        self.may_be_out &= position_rad > operating_rad;
+        if !self.may_be_out {
+            self.farthest_rad = None;
+            return operating_rad;
+        }
+        let farthest_rad = *self.farthest_rad.get_or_insert_with(|| {
+            let speed = truth.velocity_rad_per_s[joint].abs();
+            let braking_rad = 0.5 * speed * speed / rules.acceleration_rad_per_s2[joint];
+            position_rad + speed * (rules.reaction_s + rules.lag_s + cycle_s) + braking_rad + rules.operating_margin_rad
+        });
+        farthest_rad.min(rules.mechanical_rad[joint])
     }
 }
 
@@ -56,35 +81,34 @@ const SPEED_SHARE_BY_ITSELF: f64 = 1.1;
 /// itself may be faster from that moment, for as long as it takes to detect this and to close the brakes.
 fn speed(
     rules: &Rules,
-    (arm, step, before): (usize, &Step, Option<&Step>),
+    (arm, joint): (usize, usize),
+    (step, before): (&Step, Option<&Step>),
     disobeyed: &mut Disobedience,
     found: &mut Found,
 ) {
     let truth = &step.arms[arm];
-    if is_free(truth) || before.is_some_and(|before| is_free(&before.arms[arm])) {
+    if !truth.driven[joint] || before.is_some_and(|before| !before.arms[arm].driven[joint]) {
         disobeyed.too_fast_since_s = None;
         return;
     }
-    for joint in 0..7 {
-        let went = before.map_or(0.0, |before| {
-            (truth.position_rad[joint] - before.arms[arm].position_rad[joint]) / (step.t_s - before.t_s)
-        });
-        let value = truth.velocity_rad_per_s[joint].abs().max(went.abs());
-        let by_itself = !truth.obeys && disobeyed.joint == Some(joint);
-        let share = if by_itself { SPEED_SHARE_BY_ITSELF } else { SPEED_SHARE };
-        let limit = rules.arms[arm].speed_rad_per_s[joint] * share + SPEED_MORE_RAD_PER_S;
-        let lasts_s = match (by_itself, value > limit) {
-            (true, true) => step.t_s - *disobeyed.too_fast_since_s.get_or_insert(step.t_s),
-            (true, false) => {
-                disobeyed.too_fast_since_s = None;
-                0.0
-            }
-            (false, _) => f64::INFINITY,
-        };
-        if value > limit && lasts_s >= rules.too_fast_s {
-            let place = Place { invariant: Invariant::Speed, arm: Some(arm), joint: Some(joint), t_s: step.t_s };
-            found.push(place, (value, limit), if by_itself { format!("for {lasts_s:.3} s") } else { String::new() });
-        }
+    let went = before.map_or(0.0, |before| {
+        (truth.position_rad[joint] - before.arms[arm].position_rad[joint]) / (step.t_s - before.t_s)
+    });
+    let value = truth.velocity_rad_per_s[joint].abs().max(went.abs());
+    let by_itself = truth.disobeys[joint];
+    let share = if by_itself { SPEED_SHARE_BY_ITSELF } else { SPEED_SHARE };
+    let limit = rules.arms[arm].speed_rad_per_s[joint] * share + SPEED_MORE_RAD_PER_S;
+    if value <= limit {
+        disobeyed.too_fast_since_s = None;
+        return;
+    }
+    let lasts_s = match by_itself {
+        true => step.t_s - *disobeyed.too_fast_since_s.get_or_insert(step.t_s),
+        false => f64::INFINITY,
+    };
+    if lasts_s >= rules.too_fast_s {
+        let place = Place { invariant: Invariant::Speed, arm: Some(arm), joint: Some(joint), t_s: step.t_s };
+        found.push(place, (value, limit), if by_itself { format!("for {lasts_s:.3} s") } else { String::new() });
     }
 }
 
@@ -95,22 +119,22 @@ fn speed(
 /// lost command causes a step of true acceleration that is larger than the jerk limit allows: the true motion does not show
 /// it. The limiter's own tests check its commands (`hal/middleware/tests/limiter.rs`).
 fn acceleration(rules: &Rules, (arm, steps): (usize, &[Step]), window_s: f64, found: &mut Found) {
-    let (mut from, mut commanded_since) = (0, 0);
+    let (mut from, mut commanded_since) = (0, [0; 7]);
     let mut fade = Fade::default();
     for (index, step) in steps.iter().enumerate() {
         let truth = &step.arms[arm];
         fade.look((rules, &rules.arms[arm]), step.t_s, truth);
-        if !truth.servo_on || truth.brakes_closed || truth.latched_since_s.is_some() || !truth.obeys {
-            commanded_since = index + 1;
+        for (joint, since) in commanded_since.iter_mut().enumerate() {
+            let by_commands = truth.driven[joint] && !truth.brakes_closed && truth.latched_since_s.is_none();
+            if !by_commands || truth.disobeys[joint] {
+                *since = index + 1;
+            }
         }
         while step.t_s - steps[from].t_s > window_s + 1e-9 {
             from += 1;
         }
-        if from < commanded_since {
-            continue;
-        }
         let over_s = step.t_s - steps[from].t_s + CYCLES_MORE * rules.cycle_s;
-        for joint in 0..7 {
+        for joint in (0..7).filter(|&joint| from >= commanded_since[joint]) {
             let before = steps[from].arms[arm].velocity_rad_per_s[joint];
             let value = (truth.velocity_rad_per_s[joint] - before).abs();
             let limit = rules.arms[arm].acceleration_rad_per_s2[joint] * over_s + 2.0 * SPEED_MORE_RAD_PER_S;
@@ -162,41 +186,26 @@ impl Fade {
     }
 }
 
-/// Joints that move by themselves.
+/// A joint that moves by itself.
 #[derive(Default)]
 struct Disobedience {
-    /// A joint moved by itself, and the arm has not returned to its operating range since.
-    may_be_out: bool,
     since_s: Option<f64>,
-    /// The joint that moves by itself, or did so last.
-    joint: Option<usize>,
-    /// Time since which that joint is too fast.
+    /// Time since which it is too fast.
     too_fast_since_s: Option<f64>,
 }
 
 impl Disobedience {
-    fn look(&mut self, rules: &Rules, (arm, step): (usize, &Step), found: &mut Found) {
+    fn look(&mut self, rules: &Rules, (arm, joint, step): (usize, usize, &Step), found: &mut Found) {
         let truth = &step.arms[arm];
-        if truth.obeys {
-            (self.since_s, self.joint, self.too_fast_since_s) = (None, None, None);
-            let rules = &rules.arms[arm];
-            let is_within = |joint: usize| {
-                truth.position_rad[joint].abs() <= rules.operating_rad[joint] + rules.operating_margin_rad
-            };
-            self.may_be_out &= !(0..7).all(is_within);
-            return;
-        }
-        self.may_be_out = true;
-        self.joint = truth.by_itself.or(self.joint);
         // A stuck or braked joint does not move; the other limits check the reaction of its arm.
-        let moves = truth.by_itself.is_some_and(|joint| truth.velocity_rad_per_s[joint].abs() > rules.rest_rad_per_s);
+        let moves = truth.by_itself[joint] && truth.velocity_rad_per_s[joint].abs() > rules.rest_rad_per_s;
         if !moves {
             self.since_s = None;
             return;
         }
         let lasts_s = step.t_s - *self.since_s.get_or_insert(step.t_s);
         if truth.latched_since_s.is_none() && lasts_s > rules.disobedience_s {
-            let place = Place { invariant: Invariant::Disobedience, arm: Some(arm), joint: None, t_s: step.t_s };
+            let place = Place { invariant: Invariant::Disobedience, arm: Some(arm), joint: Some(joint), t_s: step.t_s };
             found.push(place, (lasts_s, rules.disobedience_s), "");
         }
     }

@@ -34,6 +34,7 @@ fn run(seconds: f64, goes: impl Fn(usize, f64) -> bool, mut change: impl FnMut(&
             world_from_target,
             pose_age_s: 0.05,
             may_search: false,
+            is_inhibited: false,
             resets: 0,
             state: "tracking",
             says_why: true,
@@ -110,7 +111,7 @@ fn a_joint_beyond_its_range_is_found() {
     let free = |degrees: f64| {
         move |step: &mut Step| {
             far(degrees)(step);
-            step.arms[TARGET_ARM].servo_on = false;
+            (step.arms[TARGET_ARM].servo_on, step.arms[TARGET_ARM].driven) = (false, [false; 7]);
         }
     };
     silent(&run(1.0, always, free(260.0)));
@@ -125,7 +126,7 @@ fn a_joint_beyond_its_range_is_found() {
                 let is_out = t_s < back_s || t_s >= out_again_s;
                 let arm = &mut step.arms[TARGET_ARM];
                 arm.position_rad[4] = if is_out { 249.3f64 } else { 249.1 }.to_radians();
-                (arm.obeys, arm.by_itself) = (t_s >= 0.2, (t_s < 0.2).then_some(4));
+                (arm.disobeys[4], arm.by_itself[4]) = (t_s < 0.2, t_s < 0.2);
             },
         )
     };
@@ -160,8 +161,8 @@ fn a_joint_that_runs_away_may_be_too_fast_for_a_moment() {
     let runs_away = |most: f64, joint: usize, stopped_at_s: f64| {
         run(2.0, always, move |step| {
             let arm = &mut step.arms[HAND_ARM];
-            arm.obeys = !(0.4..stopped_at_s + 0.5).contains(&step.t_s);
-            arm.by_itself = (0.4..0.75).contains(&step.t_s).then_some(1);
+            arm.disobeys[1] = (0.4..stopped_at_s + 0.5).contains(&step.t_s);
+            arm.by_itself[1] = (0.4..0.75).contains(&step.t_s);
             let speed = (2.0 * (step.t_s - 0.4)).clamp(0.0, most);
             let speed = if step.t_s < stopped_at_s { speed } else { 0.0 };
             arm.velocity_rad_per_s[joint] = speed;
@@ -176,8 +177,10 @@ fn a_joint_that_runs_away_may_be_too_fast_for_a_moment() {
     // Below that speed the other invariants apply, also on the way back.
     silent(&runs_away(0.655, 1, 1.0));
     // The arm's other joints have no tolerance.
-    let seen = only(Invariant::Speed, &runs_away(0.7, 0, 0.778));
+    let found = found_in(&runs_away(0.7, 0, 0.778));
+    let seen = found.iter().find(|seen| seen.invariant == Invariant::Speed).expect("too fast");
     assert!(seen.first_s < 0.71 && seen.joint == Some(0), "{seen}");
+    assert!(found.iter().any(|seen| seen.invariant == Invariant::Acceleration), "{found:?}");
 }
 
 #[test]
@@ -341,10 +344,10 @@ fn a_joint_that_moves_by_itself_has_to_be_stopped() {
             move |arm, t_s| arm == TARGET_ARM || t_s < latched_at_s,
             move |step| {
                 let arm = &mut step.arms[HAND_ARM];
-                arm.obeys = step.t_s < 1.0 || step.t_s >= latched_at_s;
-                arm.by_itself = (!arm.obeys).then_some(0);
+                arm.disobeys[0] = (1.0..latched_at_s).contains(&step.t_s);
+                arm.by_itself = arm.disobeys;
                 // The oscillation is stationary at its ends.
-                arm.velocity_rad_per_s[0] += if arm.obeys { 0.0 } else { 0.3 };
+                arm.velocity_rad_per_s[0] += if arm.obeys() { 0.0 } else { 0.3 };
                 arm.latched_since_s = (step.t_s >= latched_at_s).then_some(latched_at_s);
             },
         )
@@ -358,7 +361,10 @@ fn a_joint_that_moves_by_itself_has_to_be_stopped() {
     assert!(found.iter().any(|seen| (seen.invariant, seen.arm) == (Invariant::Disobedience, Some(HAND_ARM))));
     // A stuck joint, axis 4, does not move.
     let mut stuck = by_itself(4.0);
-    stuck.steps.iter_mut().for_each(|step| step.arms[HAND_ARM].by_itself = Some(3));
+    for step in &mut stuck.steps {
+        let arm = &mut step.arms[HAND_ARM];
+        arm.by_itself = [false, false, false, arm.disobeys[0], false, false, false];
+    }
     assert!(found_in(&stuck).iter().all(|seen| seen.invariant != Invariant::Disobedience));
 }
 
@@ -436,7 +442,7 @@ fn a_fault_that_nobody_told_of_is_found() {
     let seen = only(Invariant::Log, &truth);
     assert!(seen.note.contains("frozen camera"), "{seen}");
     let line = |t_millis, text: &str| LogLine { t_millis, text: text.to_owned() };
-    truth.log = vec![line(900, "the same image"), line(1200, "holding: something else"), line(2100, "frozen")];
+    truth.log = vec![line(900, "the same image"), line(1200, "holding: something else"), line(2800, "frozen")];
     only(Invariant::Log, &truth);
     truth.log.push(line(1900, "holding: the same image twice"));
     silent(&truth);
@@ -457,4 +463,69 @@ fn each_invariant_has_a_name_of_its_own() {
     names.sort_unstable();
     names.dedup();
     assert_eq!(names.len(), Invariant::ALL.len());
+}
+
+/// A joint of the hand runs away while the arm must be stationary: that joint is excused, the others are not.
+#[test]
+fn the_other_joints_of_an_arm_that_disobeys_are_found() {
+    let held = |joint: usize| {
+        run(
+            4.0,
+            |arm, t_s| arm == TARGET_ARM || t_s < 1.0,
+            move |step| {
+                let arm = &mut step.arms[HAND_ARM];
+                arm.may_go = step.t_s < 1.0;
+                arm.disobeys[0] = (2.0..3.0).contains(&step.t_s);
+                arm.position_rad[joint] += 0.05 * (step.t_s.clamp(2.0, 3.0) - 2.0);
+                arm.velocity_rad_per_s[joint] += if arm.disobeys[0] { 0.05 } else { 0.0 };
+            },
+        )
+    };
+    silent(&held(0));
+    let seen = only(Invariant::RestWithoutWord, &held(5));
+    assert_eq!(seen.joint, Some(5));
+}
+
+/// E2 was driven out of its range, and obeys again from 0.5 s on: it may stay there and come back, but not go on.
+#[test]
+fn a_joint_that_goes_on_outwards_after_a_disobedience_is_found() {
+    let out = |goes_on_degrees: f64| {
+        run(
+            2.0,
+            |_, _| false,
+            move |step| {
+                let arm = &mut step.arms[TARGET_ARM];
+                arm.position_rad[4] = (250.0 + goes_on_degrees * (step.t_s - 0.5).clamp(0.0, 1.0)).to_radians();
+                arm.disobeys[4] = step.t_s < 0.5;
+            },
+        )
+    };
+    silent(&out(0.0));
+    silent(&out(-2.0));
+    let found = found_in(&out(1.0));
+    assert!(found.iter().any(|seen| (seen.invariant, seen.joint) == (Invariant::Position, Some(4))), "{found:?}");
+    // Another joint that disobeys excuses nothing.
+    let other = run(
+        1.0,
+        |_, _| false,
+        |step| {
+            let arm = &mut step.arms[TARGET_ARM];
+            arm.position_rad[4] = 249.3f64.to_radians();
+            arm.disobeys[5] = true;
+        },
+    );
+    only(Invariant::Position, &other);
+}
+
+#[test]
+fn motion_while_a_condition_inhibits_the_hand_is_found() {
+    let inhibited = |rests: bool| {
+        run(
+            4.0,
+            move |arm, t_s| arm == TARGET_ARM || !rests || !(1.0..2.0).contains(&t_s),
+            |step| step.is_inhibited = (1.0..2.0).contains(&step.t_s),
+        )
+    };
+    silent(&inhibited(true));
+    assert_eq!(only(Invariant::RestWhileInhibited, &inhibited(false)).arm, Some(HAND_ARM));
 }
