@@ -1,4 +1,4 @@
-//! The log that the program itself writes, line by line, with simulated times.
+//! What the program itself writes, line by line, with simulated times: its log, and what it reports to the operator.
 
 use std::sync::{Arc, Mutex, PoisonError};
 

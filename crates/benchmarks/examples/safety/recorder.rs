@@ -83,7 +83,8 @@ pub struct Recorder {
     /// State of the supervisor: for the status line, and to excuse a fault that came after a stop.
     state: State,
     says_why: bool,
-    has_ended: bool,
+    /// From this time on the control loop moves no arm.
+    ends_at: Option<MonotonicTime>,
     found: [bool; Condition::COUNT],
     /// Error counters of links and gateways at the last check; grows with each detected error.
     counted: u64,
@@ -122,7 +123,7 @@ impl Recorder {
             heard_at: None,
             state: State::Idle,
             says_why: true,
-            has_ended: false,
+            ends_at: None,
             found: [false; Condition::COUNT],
             counted: 0,
             noticed_s: Vec::new(),
@@ -178,7 +179,10 @@ impl Recorder {
             self.latched_since.iter().all(Option::is_none) && !self.permission.is_latched() && !self.state.is_latched();
         // Only a moving arm misses the next command at once.
         let misses = !matches!(self.scenario.faults[index].kind, Kind::Overrun(_)) || self.state.is_moving();
-        self.could_stop[index] = may_be_told && misses && is_on(HAND_ARM) && is_on(TARGET_ARM);
+        // Nobody knows the bits of its alarms and switches in format A (docs/safety.md).
+        let kind = &self.scenario.faults[index].kind;
+        let is_known = self.scenario.workcell.settings.wire_format == "B" || !kind.is_read_by_controller();
+        self.could_stop[index] = may_be_told && misses && is_known && is_on(HAND_ARM) && is_on(TARGET_ARM);
         self.began_at[index] = Some(now);
     }
 
@@ -324,9 +328,15 @@ impl Recorder {
         (self.has_failed, self.stopped_at) = (true, Some(now));
     }
 
-    /// The control loop has ended: both arms are stopped.
-    pub fn ended(&mut self) {
-        self.has_ended = true;
+    /// The control loop has ended: both arms are stopped since the last control step.
+    pub fn ended(&mut self, now: MonotonicTime) {
+        self.ends_at.get_or_insert(self.next.min(now));
+    }
+
+    /// The process of the host dies. Nobody stops the arms before the gateways miss it.
+    pub fn dies(&mut self, now: MonotonicTime) {
+        const MISSED: Duration = Duration::from_millis(100);
+        self.ends_at = Some(now + MISSED);
     }
 
     /// Adds a line to the trace, and counts it as noticed.
@@ -356,7 +366,7 @@ impl Recorder {
     pub fn catch_up(&mut self, now: MonotonicTime) {
         self.look_for_latches(now);
         let counted = self.count();
-        if counted > self.counted {
+        if counted != self.counted {
             self.noticed_s.push(self.t_s(now));
             self.counted = counted;
         }
@@ -408,7 +418,7 @@ impl Recorder {
 
     fn step_at(&mut self, at: MonotonicTime) -> Step {
         let (t_s, true_s) = (self.t_s(at), self.seconds(at));
-        let is_over = self.has_ended || self.has_failed;
+        let is_over = self.has_failed || self.ends_at.is_some_and(|ends_at| at >= ends_at);
         let may_go = [self.permission.hand_may_go(), self.permission.target_may_go()].map(|may_go| may_go && !is_over);
         let arm = |index: usize| {
             let [by_itself, disobeys] = self.disobedience(index, at);

@@ -1,11 +1,11 @@
 //! One run of one scenario: the loop of `pb3dp run` with both arms emulated in virtual time, and all faults.
 
 use std::collections::VecDeque;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use nalgebra::{Matrix6, Vector3, Vector6};
 use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
 use pb3dp_cell::cell::FreeTarget;
@@ -20,12 +20,11 @@ use pb3dp_cell::percept::Percept;
 use pb3dp_cell::strip::Strip;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
-use pb3dp_servo::SearchConfig;
 use pb3dp_servo::supervisor::Confidence;
-use pb3dp_setup::setup::{Carrier, Leader, Pace, Setup, read_setup};
+use pb3dp_servo::{SearchConfig, TargetObservation};
+use pb3dp_setup::setup::{Carrier, Setup};
 use pb3dp_sim::camera_faults::CameraFaultKind;
 use pb3dp_wiring::{Wired, wire_cell};
-use system_tests::repository;
 use system_tests::safety::truth::{LogLine, Truth};
 
 use crate::cameras;
@@ -37,8 +36,6 @@ use crate::scenario::{Dice, Scenario};
 use crate::speaker::{Overheard, Speaker};
 use crate::telling::Faults;
 
-/// Length of the history; disabling both arms takes less.
-const HISTORY: Duration = Duration::from_secs(5);
 /// The search in runs in which the hand may search for its target.
 const SEARCH: SearchConfig =
     SearchConfig { back_m: 0.05, radius_m: 0.05, turns: 2.0, speed_m_per_s: 0.03, time_s: 10.0 };
@@ -46,25 +43,10 @@ const SEARCH: SearchConfig =
 pub const SEARCH_MAX_S: f64 = 12.0;
 /// Time for which the arms are observed after the end of the control loop.
 const AFTERWARDS: Duration = Duration::from_millis(1500);
+/// Number of poses that are kept.
+const BUFFERED: usize = 8;
 /// Interval between these observations.
 const LOOK: Duration = Duration::from_millis(10);
-
-/// The setup of all runs: that of configs/hil.toml, in simulated time, with or without images.
-///
-/// # Errors
-/// If the file cannot be read.
-pub fn base(rendered: bool) -> Result<Setup> {
-    let mut setup = read_setup(&repository().join("configs/hil.toml"))?;
-    setup.pace = Pace::Fast;
-    setup.compared.clear();
-    if !rendered {
-        setup.leader = Leader::Geometric(setup.geometric.context("configs/hil.toml has no table estimator.geometric")?);
-    }
-    for arm in [&mut setup.rig.arms.vs, &mut setup.rig.arms.tc] {
-        arm.plant.history = HISTORY;
-    }
-    Ok(setup)
-}
 
 /// Result of one run.
 pub struct Ran {
@@ -87,6 +69,7 @@ pub struct Ran {
 pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
     let mut setup = base.clone();
     setup.reseed(scenario.seed);
+    scenario.workcell.apply(&mut setup);
     setup.experiment.motion = scenario.motion.clone();
     setup.experiment.carrier = scenario.carrier;
     if let Some(world) = setup.world.as_mut() {
@@ -116,8 +99,9 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
         (Strip::default(), &parts.clock),
         None,
     )?;
+    let log = ProgramLog::new(Arc::clone(&clock));
     let operator: Box<dyn Operator> = match scenario.has_person {
-        true => Box::new(Speaker::new(scenario, Arc::clone(&clock), Arc::clone(&recorder))),
+        true => Box::new(Speaker::new(scenario, Arc::clone(&clock), (Arc::clone(&recorder), log.clone()))),
         false => Box::new(Overheard::new(Arc::clone(&clock), Arc::clone(&recorder))),
     };
     let moving = Moving::new(&setup, (parts.vs, parts.tc), &*parts.experiment, now)?.with_operator(operator);
@@ -135,8 +119,10 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
         dice: Dice::new(!scenario.seed),
         hit: false,
         waiting: VecDeque::new(),
+        buffered: VecDeque::new(),
         standing: None,
     };
+    let interrupt = AtomicBool::new(false);
     let mut faulty = Faulty {
         inner: moving,
         scenario,
@@ -144,13 +130,12 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
         recorder: Arc::clone(&recorder),
         ends,
         begin: now,
+        interrupt: &interrupt,
         begun_s: vec![None; scenario.faults.len()],
         ended: vec![false; scenario.faults.len()],
     };
-    let interrupt = AtomicBool::new(false);
     let duration = Duration::from_secs_f64(scenario.run_s);
     let course = Course { setup: &setup, clock: &clock, duration, interrupt: &interrupt };
-    let log = ProgramLog::new(Arc::clone(&clock));
     let outcome = tracing::subscriber::with_default(log.clone(), || course.run_in_lockstep(&mut watching, &mut faulty));
     let lead_s = watching.begin.seconds_since(watching.wired);
     let ended = outcome.err().map(|error| format!("{error:#}"));
@@ -170,7 +155,7 @@ fn afterwards(
     ended: Option<String>,
 ) -> Ran {
     let mut recording = lock(recorder);
-    recording.ended();
+    recording.ended(clock.now());
     recording.catch_up(clock.now());
     let until = clock.now() + AFTERWARDS;
     while clock.now() < until {
@@ -204,6 +189,8 @@ struct Watching<'a> {
     hit: bool,
     /// Late percepts, and when they are due.
     waiting: VecDeque<(MonotonicTime, Percept)>,
+    /// The last poses.
+    buffered: VecDeque<Option<TargetObservation>>,
     /// The image number that repeats.
     standing: Option<u64>,
 }
@@ -230,6 +217,8 @@ impl Watcher for Watching<'_> {
         let (now, t_s) = (self.clock.now(), self.clock.now().seconds_since(self.begin));
         self.note_cameras(seen.as_ref(), t_s);
         let Some(percept) = seen else { return Ok(None) };
+        self.buffered.push_front(percept.observation);
+        self.buffered.truncate(BUFFERED);
         let mut changed = Some(percept);
         for (index, fault) in self.scenario.faults.iter().enumerate().filter(|(_, fault)| fault.is_on(t_s)) {
             let Some(percept) = changed else { break };
@@ -305,6 +294,12 @@ impl Watching<'_> {
                 let number = *self.standing.get_or_insert(percept.frame.sequence.saturating_sub(1));
                 percept.frame.sequence = number;
             }
+            Kind::OldContent(pairs) => {
+                let old = self.buffered.get(pairs).copied().flatten();
+                if let (Some(observation), Some(old)) = (&mut percept.observation, old) {
+                    observation.cam_left_from_model = old.cam_left_from_model;
+                }
+            }
             Kind::Scatter(by_m) => {
                 let side = [0, 1, 2].map(|_| self.dice.within(-1.0, 1.0));
                 scatter(&mut percept, by_m, side);
@@ -346,6 +341,8 @@ struct Faulty<'a> {
     clock: Arc<dyn Clock>,
     recorder: Shared,
     ends: Vec<VirtualEnd>,
+    /// Ends the control loop.
+    interrupt: &'a AtomicBool,
     begin: MonotonicTime,
     /// When each fault actually began, seconds: while the arms are being enabled the control loop waits.
     begun_s: Vec<Option<f64>>,
@@ -422,6 +419,14 @@ impl Faulty<'_> {
                 }
             }
             Kind::Unplugged(arm) => self.ends[*arm].unplug(),
+            Kind::GatewayRestart(arm) => self.ends[*arm].restart_gateway(),
+            Kind::HostDies => {
+                for line in self.ends.iter().flat_map(|end| [(end, "line deaf on"), (end, "line silence on")]) {
+                    line.0.command_line(line.1)?;
+                }
+                lock(&self.recorder).dies(self.clock.now());
+                self.interrupt.store(true, Ordering::SeqCst);
+            }
             Kind::Arm { arm, line, .. } => self.ends[*arm].command_line(line)?,
             _ => {}
         }

@@ -9,6 +9,7 @@ use pb3dp_hal_api::Clock;
 use pb3dp_servo::supervisor::{Decision, OperatorCommand, OperatorInput, OperatorRequest, State};
 
 use crate::faults::Kind;
+use crate::program_log::ProgramLog;
 use crate::recorder::{Shared, lock};
 use crate::scenario::{Dice, Scenario};
 
@@ -20,6 +21,7 @@ pub struct Speaker {
     scenario: Scenario,
     clock: Arc<dyn Clock>,
     recorder: Shared,
+    log: ProgramLog,
     dice: Dice,
     /// Which commands of the scenario were given.
     said: Vec<bool>,
@@ -32,8 +34,9 @@ pub struct Speaker {
 
 impl Speaker {
     /// The operator of this scenario.
-    pub fn new(scenario: &Scenario, clock: Arc<dyn Clock>, recorder: Shared) -> Self {
+    pub fn new(scenario: &Scenario, clock: Arc<dyn Clock>, (recorder, log): (Shared, ProgramLog)) -> Self {
         Self {
+            log,
             said: vec![false; scenario.faults.len()],
             dice: Dice::new(scenario.seed ^ 0x5eed),
             scenario: scenario.clone(),
@@ -54,6 +57,21 @@ impl Speaker {
                 *said = true;
                 lock(&self.recorder).touched(index);
                 return Some((*word, *late_s));
+            }
+        }
+        None
+    }
+
+    /// A command of a client that sends them in any order, while it does.
+    fn of_chatter(&mut self, t_s: f64) -> Option<(OperatorCommand, f64)> {
+        /// Share of the control steps with a command.
+        const SHARE: f64 = 0.2;
+        for (index, fault) in self.scenario.faults.iter().enumerate().filter(|(_, fault)| fault.is_on(t_s)) {
+            if let Kind::Chatter(late_s) = fault.kind
+                && self.dice.unit() < SHARE
+            {
+                lock(&self.recorder).touched(index);
+                return Some((self.dice.pick(&OperatorCommand::ALL), self.dice.within(0.0, late_s)));
             }
         }
         None
@@ -101,7 +119,8 @@ impl Operator for Speaker {
             return OperatorInput { heard_at: self.heard_at, ..OperatorInput::default() };
         }
         self.heard_at = Some(now);
-        let word = self.of_scenario(t_s).or_else(|| self.by_itself(last, at).map(|word| (word, 0.0)));
+        let given = self.of_scenario(t_s).or_else(|| self.of_chatter(t_s));
+        let word = given.or_else(|| self.by_itself(last, at).map(|word| (word, 0.0)));
         self.resets = word.is_some_and(|(word, _)| word == OperatorCommand::Reset);
         let mut recorder = lock(&self.recorder);
         recorder.heard(now);
@@ -116,9 +135,11 @@ impl Operator for Speaker {
     fn show(&mut self, _decision: &Decision) {}
 
     fn tell(&mut self, trouble: Option<String>) {
-        if trouble.is_some() && self.resets {
+        let Some(trouble) = trouble else { return };
+        if self.resets {
             lock(&self.recorder).reset_failed();
         }
+        self.log.push(trouble);
     }
 
     fn is_person(&self) -> bool {
