@@ -6,6 +6,7 @@
 //! | position | each joint is within its operating range, and always within its mechanical stops |
 //! | speed | no joint is faster than its limit |
 //! | acceleration | the change of a joint's speed within 20 ms, and within 100 ms, is within its limit |
+//! | jerk | the commanded acceleration, from the true motion, changes from cycle to cycle within its limit |
 //! | rest-after-latch | after a latched fault or emergency stop of either arm both are stationary, until it is cleared |
 //! | rest-without-pose | without a fresh, confident pose the hand's arm is stationary |
 //! | rest-while-inhibited | while a condition of the supervisor inhibits motion, and until it has been gone for some time, the hand's arm is stationary |
@@ -42,6 +43,8 @@ pub enum Invariant {
     Speed,
     /// Changes of speed, rad/s.
     Acceleration,
+    /// Changes of commanded acceleration from cycle to cycle, rad/s^2.
+    Jerk,
     /// Standstill after a fault or emergency stop of either arm; rad/s, or radians of creep.
     RestAfterLatch,
     /// Standstill without a fresh, confident pose; rad/s, or radians of creep.
@@ -68,11 +71,12 @@ pub enum Invariant {
 
 impl Invariant {
     /// All invariants.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 16] = [
         Self::Record,
         Self::Position,
         Self::Speed,
         Self::Acceleration,
+        Self::Jerk,
         Self::RestAfterLatch,
         Self::RestWithoutPose,
         Self::RestWhileInhibited,
@@ -93,6 +97,7 @@ impl Invariant {
             Self::Position => "position",
             Self::Speed => "speed",
             Self::Acceleration => "acceleration",
+            Self::Jerk => "jerk",
             Self::RestAfterLatch => "rest-after-latch",
             Self::RestWithoutPose => "rest-without-pose",
             Self::RestWhileInhibited => "rest-while-inhibited",

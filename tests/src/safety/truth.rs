@@ -67,6 +67,10 @@ pub struct ArmTruth {
     /// Time since the last command that could reach the arm, seconds: since the last control step, or since nothing from the
     /// host has reached the gateway of the arm.
     pub command_age_s: f64,
+    /// Whether commands may be lost or late on their way to the drives, or were so a short time ago.
+    pub commands_disturbed: bool,
+    /// Whether the program told the arm to hold, now or so short ago that the driver may still brake it.
+    pub ramps: bool,
 }
 
 impl ArmTruth {
@@ -83,6 +87,8 @@ impl ArmTruth {
             disobeys: [false; 7],
             may_go: true,
             command_age_s: 0.0,
+            commands_disturbed: false,
+            ramps: false,
         }
     }
 

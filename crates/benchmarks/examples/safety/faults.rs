@@ -300,6 +300,25 @@ impl Kind {
         }
     }
 
+    /// Whether an alarm reports the fault.
+    pub fn is_alarm(&self) -> bool {
+        matches!(self, Self::Arm { name: "arm: servo alarm" | "arm: controller alarm", .. })
+    }
+
+    /// Whether commands to this arm may be lost or late because of the fault.
+    pub fn disturbs_commands_to(&self, to: usize) -> bool {
+        match self {
+            Self::Overrun(_) | Self::ClockJump(_) | Self::HostDies => true,
+            Self::Unplugged(arm) | Self::GatewayRestart(arm) => *arm == to,
+            Self::Arm { arm, name, .. } => {
+                // The guard discards a sample that jumps, and the arm holds.
+                let is_lost = name.starts_with("bus:") || name.starts_with("line:") || *name == "arm: encoder jumps";
+                *arm == to && is_lost
+            }
+            _ => false,
+        }
+    }
+
     /// Whether only the servo controller can report the fault.
     pub fn is_read_by_controller(&self) -> bool {
         match self {

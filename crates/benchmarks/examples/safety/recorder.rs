@@ -59,6 +59,8 @@ pub struct Recorder {
     /// Start and end of the scenario's faults, if they have occurred.
     began_at: Vec<Option<MonotonicTime>>,
     ended_at: Vec<Option<MonotonicTime>>,
+    /// When each arm was told to hold last.
+    held_at: [Option<MonotonicTime>; 2],
     /// Which faults had an effect.
     touched: Vec<bool>,
     /// Which faults started while both arms were enabled and not yet stopped.
@@ -109,6 +111,7 @@ impl Recorder {
             spoiled: BTreeSet::new(),
             began_at: vec![None; scenario.faults.len()],
             ended_at: vec![None; scenario.faults.len()],
+            held_at: [None; 2],
             touched: vec![false; scenario.faults.len()],
             could_stop: vec![false; scenario.faults.len()],
             latched_since: [None; 2],
@@ -179,9 +182,9 @@ impl Recorder {
             self.latched_since.iter().all(Option::is_none) && !self.permission.is_latched() && !self.state.is_latched();
         // Only a moving arm misses the next command at once.
         let misses = !matches!(self.scenario.faults[index].kind, Kind::Overrun(_)) || self.state.is_moving();
-        // Nobody knows the bits of its alarms and switches in format A (docs/safety.md).
+        // Nobody knows the alarms of format A (docs/safety.md).
         let kind = &self.scenario.faults[index].kind;
-        let is_known = self.scenario.workcell.settings.wire_format == "B" || !kind.is_read_by_controller();
+        let is_known = self.scenario.workcell.settings.wire_format == "B" || !kind.is_alarm();
         self.could_stop[index] = may_be_told && misses && is_known && is_on(HAND_ARM) && is_on(TARGET_ARM);
         self.began_at[index] = Some(now);
     }
@@ -213,6 +216,17 @@ impl Recorder {
             }
         }
         joints
+    }
+
+    /// Whether commands to this arm may be lost or late.
+    fn are_commands_disturbed(&self, arm: usize, at: MonotonicTime) -> bool {
+        /// As long as the most messages of a fault (50 on the bus), and a window of the acceleration, seconds.
+        const AFTER_S: f64 = 0.6;
+        let times = self.began_at.iter().zip(&self.ended_at);
+        self.scenario.faults.iter().zip(times).any(|(fault, (began, ended))| {
+            let is_over = ended.is_some_and(|ended| at.seconds_since(ended) > AFTER_S);
+            fault.kind.disturbs_commands_to(arm) && began.is_some_and(|began| began <= at) && !is_over
+        })
     }
 
     /// Time since the last command that could reach the gateway of this arm, seconds.
@@ -274,7 +288,9 @@ impl Recorder {
             self.permission.refused();
         }
         let [true_at, shown_at] = self.step_begins;
-        let disabled_since = self.disabled_since.into_iter().flatten().min();
+        // In format A the state of the drives is not public: only the guard notices that a joint does not follow (docs/safety.md).
+        let is_known = self.scenario.workcell.settings.wire_format == "B";
+        let disabled_since = self.disabled_since.into_iter().flatten().min().filter(|_| is_known);
         let was_latched = self.permission.is_latched();
         self.permission.stepped(&Moment {
             now_s: self.seconds(shown_at),
@@ -297,6 +313,9 @@ impl Recorder {
                 self.note(now, format!("condition: {}", condition.key()));
             }
             self.found[condition as usize] = is_found;
+        }
+        for (held_at, arm) in self.held_at.iter_mut().zip(&step.arms) {
+            *held_at = if arm.requested_rad_per_s.is_none() { Some(now) } else { *held_at };
         }
         self.catch_up(now);
         self.stepped_at = now;
@@ -428,6 +447,9 @@ impl Recorder {
                 disobeys,
                 may_go: may_go[index],
                 command_age_s: self.command_age_s(index, at),
+                // From the largest speed of a joint, 1.2 rad/s at 2 rad/s^2 (3.77 at 5), to standstill, and the delay of the arm.
+                ramps: self.held_at[index].is_some_and(|held| at.seconds_since(held) < 0.8),
+                commands_disturbed: self.are_commands_disturbed(index, at),
                 ..self.truth_of(index, at)
             }
         };

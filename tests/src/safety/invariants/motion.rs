@@ -6,10 +6,18 @@ use super::{Found, Invariant, Place};
 
 /// Windows for changes of speed, seconds: one shows a jump, the other acceleration.
 const WINDOWS_S: [f64; 2] = [0.020, 0.100];
-/// Number of cycles by which a joint may gain speed beyond its window. Chosen: as many commands in a row may be late or
+/// Share of the acceleration limit within a window, while no command is lost or late.
+const ACCELERATION_SHARE: f64 = 1.3;
+/// Number of cycles by which a joint may gain speed beyond its window otherwise. Chosen: as many commands in a row may be late or
 /// lost, and the next one contains the accumulated difference. In 200 runs 12.4 ms were needed; with one cycle one of them
 /// has a violation.
 const CYCLES_MORE: f64 = 2.0;
+/// Share of the jerk limit between two cycles.
+const JERK_SHARE: f64 = 1.1;
+/// Rounding of three commands to 1/5000 rad/s, of which the middle one counts twice: 4 times half a step, rad/s.
+const JERK_MORE_RAD_PER_S: f64 = 4e-4;
+/// Number of steps without a disturbance until the jerk counts: the differences, and a cycle.
+const JERK_AFTER_STEPS: usize = 20;
 /// Tolerance of the speed limit: commands are rounded to 1/5000 rad/s, and the record to 2 ms.
 const SPEED_SHARE: f64 = 1.01;
 const SPEED_MORE_RAD_PER_S: f64 = 0.001;
@@ -24,6 +32,7 @@ pub(super) fn check(rules: &Rules, steps: &[Step], found: &mut Found) {
                 speed(rules, (arm, joint), (step, before), &mut disobeyed, found);
                 disobeyed.look(rules, (arm, joint, step), found);
             }
+            jerk(rules, (arm, joint), steps, found);
         }
         for window_s in WINDOWS_S {
             acceleration(rules, (arm, steps), window_s, found);
@@ -112,28 +121,31 @@ fn speed(
     }
 }
 
-/// Within a window a joint's speed changes by at most its acceleration limit times the window and [`CYCLES_MORE`]. An arm
-/// that was not stopped by commands has other limits: those of its brakes, and those of its watchdog ([`Fade`]).
-///
-/// There is no invariant on jerk. Jerk acts within 25 ms (2 rad/s^2 at 80 rad/s^3), less than the lag of the drive, and a
-/// lost command causes a step of true acceleration that is larger than the jerk limit allows: the true motion does not show
-/// it. The limiter's own tests check its commands (`hal/middleware/tests/limiter.rs`).
+/// Within a window a joint's speed changes by at most its acceleration limit times the window and [`ACCELERATION_SHARE`], or, if commands
+/// were lost or late, the window and [`CYCLES_MORE`]. An arm that was not stopped by commands has other limits: those of its brakes, and
+/// those of its watchdog ([`Fade`]).
 fn acceleration(rules: &Rules, (arm, steps): (usize, &[Step]), window_s: f64, found: &mut Found) {
-    let (mut from, mut commanded_since) = (0, [0; 7]);
+    let (mut from, mut commanded_since, mut undisturbed_since) = (0, [0; 7], 0);
     let mut fade = Fade::default();
     for (index, step) in steps.iter().enumerate() {
         let truth = &step.arms[arm];
         fade.look((rules, &rules.arms[arm]), step.t_s, truth);
+        if truth.commands_disturbed {
+            undisturbed_since = index + 1;
+        }
         for (joint, since) in commanded_since.iter_mut().enumerate() {
-            let by_commands = truth.driven[joint] && !truth.brakes_closed && truth.latched_since_s.is_none();
-            if !by_commands || truth.disobeys[joint] {
+            if !is_commanded(truth, joint) {
                 *since = index + 1;
             }
         }
         while step.t_s - steps[from].t_s > window_s + 1e-9 {
             from += 1;
         }
-        let over_s = step.t_s - steps[from].t_s + CYCLES_MORE * rules.cycle_s;
+        let passed_s = step.t_s - steps[from].t_s;
+        let over_s = match from >= undisturbed_since {
+            true => passed_s * ACCELERATION_SHARE,
+            false => passed_s + CYCLES_MORE * rules.cycle_s,
+        };
         for joint in (0..7).filter(|&joint| from >= commanded_since[joint]) {
             let before = steps[from].arms[arm].velocity_rad_per_s[joint];
             let value = (truth.velocity_rad_per_s[joint] - before).abs();
@@ -145,6 +157,52 @@ fn acceleration(rules: &Rules, (arm, steps): (usize, &[Step]), window_s: f64, fo
                 let place = Place { invariant: Invariant::Acceleration, arm: Some(arm), joint: Some(joint), t_s };
                 found.push(place, (value, limit), format!("within {:.0} ms", window_s * 1e3));
             }
+        }
+    }
+}
+
+/// Whether commands alone determine the motion of this joint.
+fn is_commanded(truth: &ArmTruth, joint: usize) -> bool {
+    let is_stopped = truth.brakes_closed || truth.latched_since_s.is_some();
+    truth.driven[joint] && !truth.disobeys[joint] && !is_stopped
+}
+
+/// Number of steps of the record in a cycle.
+const CYCLE_STEPS: usize = 5;
+
+/// The commanded speed of a joint, from its true motion: its drive is a lag of first order, v' = (u - v) / lag, so that
+/// u = (v1 - v0 e) / (1 - e) with e = exp(-step / lag). The lag hides the jerk of the true motion, and this does not: between commands that
+/// are neither lost nor late, the second difference of u over cycles is at most the jerk limit times the square of the cycle.
+///
+/// The ramp of the driver, by which it brakes the arm for a hold, has no limit of jerk; neither have its brakes.
+///
+/// A step in which the command changes gives a value between both. As it has the same phase in each cycle, its second difference is a mean
+/// of two, and within the same limit.
+fn jerk(rules: &Rules, (arm, joint): (usize, usize), steps: &[Step], found: &mut Found) {
+    let limits = &rules.arms[arm];
+    let limit = limits.jerk_rad_per_s3[joint] * JERK_SHARE * rules.cycle_s + JERK_MORE_RAD_PER_S / rules.cycle_s;
+    let mut commanded = [0.0; 2 * CYCLE_STEPS + 1];
+    let mut known = 0;
+    for (index, pair) in steps.windows(2).enumerate() {
+        let [before, now] = [&pair[0].arms[arm], &pair[1].arms[arm]];
+        // Without samples of one arm the coupling holds the other one.
+        let is_undisturbed =
+            !pair[1].arms.iter().any(|arm| arm.commands_disturbed) && now.command_age_s <= rules.fades_after_s;
+        let is_clear = is_commanded(now, joint) && is_undisturbed && !now.ramps;
+        known = if is_clear { known + 1 } else { 0 };
+        let left = (-(pair[1].t_s - pair[0].t_s) / limits.lag_s).exp();
+        let [v0, v1] = [before, now].map(|arm| arm.velocity_rad_per_s[joint]);
+        commanded[index % commanded.len()] = (v1 - v0 * left) / (1.0 - left);
+        if known < JERK_AFTER_STEPS {
+            continue;
+        }
+        let ago = |steps: usize| commanded[(index - steps) % commanded.len()];
+        let change = ((ago(0) - ago(CYCLE_STEPS)) - (ago(CYCLE_STEPS) - ago(2 * CYCLE_STEPS))).abs() / rules.cycle_s;
+        // A latch takes effect within a step of the record.
+        let goes_on = steps.get(index + 2).is_some_and(|next| is_commanded(&next.arms[arm], joint));
+        if change > limit && goes_on {
+            let place = Place { invariant: Invariant::Jerk, arm: Some(arm), joint: Some(joint), t_s: pair[1].t_s };
+            found.push(place, (change, limit), "rad/s^2 of change of acceleration from cycle to cycle");
         }
     }
 }
