@@ -398,7 +398,7 @@ impl Recorder {
     }
 
     fn look_for_latches(&mut self, now: MonotonicTime) {
-        for arm in 0..2 {
+        for (arm, name) in ARM_NAMES.into_iter().enumerate() {
             let (monitor, end) = &self.arms[arm];
             let seen = monitor.snapshot();
             let gateway = end.look(|far| far.gateway.as_ref().map(|gateway| gateway.status().state));
@@ -411,7 +411,7 @@ impl Recorder {
             }
             self.latched_since[arm] = since.map(|since| self.latched_since[arm].unwrap_or(since));
             if let (Some(latched), false) = (seen.latched, self.was_latched[arm]) {
-                self.note(latched.at, format!("{}: {}", ARM_NAMES[arm], latched.trip));
+                self.note(latched.at, format!("{name}: {}", latched.trip));
             }
             self.was_latched[arm] = seen.latched.is_some();
         }

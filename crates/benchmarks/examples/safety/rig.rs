@@ -62,11 +62,8 @@ pub struct Ran {
     pub notes: Vec<LogLine>,
 }
 
-/// Runs a scenario.
-///
-/// # Errors
-/// If it cannot be built: no run of this simulation is refused.
-pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
+/// The setup of a scenario.
+fn setup_of(base: &Setup, scenario: &Scenario) -> Setup {
     let mut setup = base.clone();
     setup.reseed(scenario.seed);
     scenario.workcell.apply(&mut setup);
@@ -79,6 +76,15 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
         setup.controller.search = Some(SEARCH);
         setup.supervisor.search_max_s = SEARCH_MAX_S;
     }
+    setup
+}
+
+/// Runs a scenario.
+///
+/// # Errors
+/// If it cannot be built: no run of this simulation is refused.
+pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
+    let setup = setup_of(base, scenario);
     let Wired { parts, monitors, virtual_ends } = wire_cell(&setup, |cell, start| {
         let motion = scenario.motion.begin_at(start)?;
         if scenario.carrier == Carrier::Nothing {

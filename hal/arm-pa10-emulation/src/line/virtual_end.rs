@@ -63,7 +63,7 @@ impl VirtualEnd {
         let mut far = lock(&self.far);
         let now = far.now();
         if let Some(gateway) = &mut far.gateway
-            && let Ok(new) = Gateway::new(gateway.config().clone(), now)
+            && let Ok(new) = Gateway::new(*gateway.config(), now)
         {
             *gateway = new;
             self.touched.store(true, Ordering::Release);

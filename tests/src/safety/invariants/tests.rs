@@ -195,7 +195,7 @@ fn commanded(rate: f64, jerk: f64, change: impl Fn(&mut ArmTruth)) -> Truth {
         0.75,
         |_, _| false,
         |step| {
-            if step.t_s >= 0.5 && count % 5 == 0 {
+            if step.t_s >= 0.5 && count.is_multiple_of(5) {
                 acceleration = (acceleration + jerk * 0.01f64).min(rate);
                 command += acceleration * 0.01;
             }

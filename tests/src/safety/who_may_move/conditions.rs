@@ -79,7 +79,7 @@ impl Conditions {
         let now_s = moment.now_s;
         let step_s = self.stepped_s.replace(now_s).map_or(0.0, |before_s| now_s - before_s);
         let is_behind = now_s - moment.true_s < -CLOCK_BEHIND_S;
-        self.has_stepped = step_s < -ROUNDING_S || step_s > CLOCK_STEP_S + ROUNDING_S || is_behind;
+        self.has_stepped = !(-ROUNDING_S..=CLOCK_STEP_S + ROUNDING_S).contains(&step_s) || is_behind;
         if step_s < -ROUNDING_S {
             // Times from before are not comparable, and may lie ahead.
             for time_s in [&mut self.estimated_s, &mut self.not_before_s, &mut self.followed_since_s] {

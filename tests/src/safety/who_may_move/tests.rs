@@ -35,7 +35,7 @@ impl Cell {
     fn step(&mut self) {
         (self.t_s, self.count) = (self.t_s + 0.01, self.count + 1);
         let now_s = self.t_s + self.shown_s;
-        if self.pairs && self.count % 3 == 0 {
+        if self.pairs && self.count.is_multiple_of(3) {
             (self.pair.number, self.pair.exposed_s) = (self.pair.number + 1, self.t_s - 0.07);
             self.model.saw(self.pair);
         }
@@ -101,7 +101,7 @@ fn a_start_needs_poses_of_the_selected_target_for_some_time() {
     cell.say(Word::Select);
     cell.run(0.15);
     cell.say(Word::Start);
-    assert_eq!(cell.may()[0], false);
+    assert!(!cell.may()[0]);
     cell.run(0.5);
     cell.say(Word::Start);
     assert!(cell.may()[0]);
