@@ -335,7 +335,7 @@ impl Recorder {
         }
     }
 
-    /// The operator is told that a reset has failed.
+    /// The operator reads that a reset has failed.
     pub fn reset_failed(&mut self) {
         self.permission.refused();
     }

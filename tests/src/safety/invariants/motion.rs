@@ -185,9 +185,9 @@ fn jerk(rules: &Rules, (arm, joint): (usize, usize), steps: &[Step], found: &mut
     let mut known = 0;
     for (index, pair) in steps.windows(2).enumerate() {
         let [before, now] = [&pair[0].arms[arm], &pair[1].arms[arm]];
-        // Without samples of one arm the coupling holds the other one.
-        let is_undisturbed =
-            !pair[1].arms.iter().any(|arm| arm.commands_disturbed) && now.command_age_s <= rules.fades_after_s;
+        // Without samples of one arm, or once it is latched, the coupling holds the other one.
+        let is_held = |arm: &ArmTruth| arm.commands_disturbed || arm.latched_since_s.is_some();
+        let is_undisturbed = !pair[1].arms.iter().any(is_held) && now.command_age_s <= rules.fades_after_s;
         let is_clear = is_commanded(now, joint) && is_undisturbed && !now.ramps;
         known = if is_clear { known + 1 } else { 0 };
         let left = (-(pair[1].t_s - pair[0].t_s) / limits.lag_s).exp();
@@ -199,8 +199,8 @@ fn jerk(rules: &Rules, (arm, joint): (usize, usize), steps: &[Step], found: &mut
         let ago = |steps: usize| commanded[(index - steps) % commanded.len()];
         let change = ((ago(0) - ago(CYCLE_STEPS)) - (ago(CYCLE_STEPS) - ago(2 * CYCLE_STEPS))).abs() / rules.cycle_s;
         // A latch takes effect within a step of the record.
-        let goes_on = steps.get(index + 2).is_some_and(|next| is_commanded(&next.arms[arm], joint));
-        if change > limit && goes_on {
+        let goes_on = |next: &Step| is_commanded(&next.arms[arm], joint) && !next.arms.iter().any(is_held);
+        if change > limit && steps.get(index + 2).is_some_and(goes_on) {
             let place = Place { invariant: Invariant::Jerk, arm: Some(arm), joint: Some(joint), t_s: pair[1].t_s };
             found.push(place, (change, limit), "rad/s^2 of change of acceleration from cycle to cycle");
         }

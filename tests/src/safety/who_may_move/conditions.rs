@@ -138,7 +138,7 @@ impl Conditions {
         (self.sigma, self.not_before_s) = ([0.0; 2], now_s);
     }
 
-    /// Whether nothing has inhibited motion for so long, as far as confident estimates show.
+    /// Whether nothing has inhibited motion for so long, up to the newest confident estimate.
     pub fn is_clear_for(&self, for_s: f64) -> bool {
         self.clear_since_s.is_some_and(|since_s| self.confirmed_s - since_s >= for_s - ROUNDING_S)
     }
