@@ -108,7 +108,7 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
     let log = ProgramLog::new(Arc::clone(&clock));
     let operator: Box<dyn Operator> = match scenario.has_person {
         true => Box::new(Speaker::new(scenario, Arc::clone(&clock), (Arc::clone(&recorder), log.clone()))),
-        false => Box::new(Overheard::new(Arc::clone(&clock), Arc::clone(&recorder))),
+        false => Box::new(Overheard::new(scenario, Arc::clone(&clock), Arc::clone(&recorder))),
     };
     let moving = Moving::new(&setup, (parts.vs, parts.tc), &*parts.experiment, now)?.with_operator(operator);
     let plan = Plan::of(&scenario.motion, &*parts.experiment);

@@ -33,6 +33,9 @@ const AT_ONCE: f64 = 0.3;
 /// Faults at once begin within this time, seconds.
 const AT_ONCE_S: f64 = 0.05;
 
+/// Name of the motion of a run that proves a safeguard.
+pub const PROOF: &str = "proof";
+
 /// Random numbers: the same seed gives the same ones on every machine.
 pub struct Dice {
     seed: [u32; 2],

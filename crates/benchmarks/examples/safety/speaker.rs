@@ -11,7 +11,7 @@ use pb3dp_servo::supervisor::{Decision, OperatorCommand, OperatorInput, Operator
 use crate::faults::Kind;
 use crate::program_log::ProgramLog;
 use crate::recorder::{Shared, lock};
-use crate::scenario::{Dice, Scenario};
+use crate::scenario::{Dice, PROOF, Scenario};
 
 /// Reaction time of the operator, seconds.
 const THINKS_S: (f64, f64) = (0.1, 1.0);
@@ -153,21 +153,25 @@ impl Operator for Speaker {
 
 /// The operator of a run without a person: the program itself.
 pub struct Overheard {
+    /// No `start` is given before, seconds: with disabled safeguards the supervisor would accept it before there are poses.
+    starts_at_s: f64,
     clock: Arc<dyn Clock>,
     recorder: Shared,
 }
 
 impl Overheard {
     /// The same commands as [`ByCommand`], recorded.
-    pub fn new(clock: Arc<dyn Clock>, recorder: Shared) -> Self {
-        Self { clock, recorder }
+    pub fn new(scenario: &Scenario, clock: Arc<dyn Clock>, recorder: Shared) -> Self {
+        Self { starts_at_s: if scenario.motion_name == PROOF { 0.8 } else { 0.0 }, clock, recorder }
     }
 }
 
 impl Operator for Overheard {
     fn listen(&mut self, last: Option<&Decision>, now: MonotonicTime) -> OperatorInput {
-        let input = ByCommand.listen(last, now);
+        let mut input = ByCommand.listen(last, now);
         let mut recorder = lock(&self.recorder);
+        let is_early = recorder.t_s(self.clock.now()) < self.starts_at_s;
+        input.said = input.said.filter(|said| said.word != OperatorCommand::Start || !is_early);
         recorder.heard(now);
         if let Some(said) = input.said {
             recorder.told(said.word, said.at, self.clock.now());
