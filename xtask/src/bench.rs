@@ -34,7 +34,8 @@ const QUICK_ROUNDS: &str = "40";
 ///         the arm's limits; fails if a limit is missed (ten minutes on two idle cores; --quick: seconds; --only WORDS,
 ///         --seed N). Writes docs/benchmarks/servo.md
 /// safety  seeded runs with random faults, with both arms emulated in virtual time, checked against the simulator's truth;
-///         fails if an invariant is violated, and prints the command to repeat that run: --runs N, --seed N, --quick, --trace,
+///         fails if an invariant is violated, and prints the command to repeat that run: --runs N, --trace, --quick (200 runs, no page),
+///         --seed N (without it a fresh seed is drawn and printed; a full run also repeats the seeds that once found something),
 ///         --rendered N (repeats the first N runs with rendered images); a run of default length writes docs/benchmarks/safety.md.
 ///         --disabled, in a separate build: disables each safeguard, which must cause a violation; --only NAME: some of them;
 ///         a run with all safeguards writes their part of that page

@@ -6,8 +6,10 @@
 //! | position | each joint is within its operating range, and always within its mechanical stops |
 //! | speed | no joint is faster than its limit |
 //! | acceleration | the change of a joint's speed within 20 ms, and within 100 ms, is within its limit |
+//! | jerk | the commanded acceleration, from the true motion, changes from cycle to cycle within its limit |
 //! | rest-after-latch | after a latched fault or emergency stop of either arm both are stationary, until it is cleared |
 //! | rest-without-pose | without a fresh, confident pose the hand's arm is stationary |
+//! | rest-while-inhibited | while a condition of the supervisor inhibits motion, and until it has been gone for some time, the hand's arm is stationary |
 //! | search | a hand that searches for its target stays within the search range and speed |
 //! | rest-without-word | an arm is stationary unless the operator's last command permits its motion |
 //! | latch-cleared | only the operator's reset clears a latch |
@@ -41,10 +43,14 @@ pub enum Invariant {
     Speed,
     /// Changes of speed, rad/s.
     Acceleration,
+    /// Changes of commanded acceleration from cycle to cycle, rad/s^2.
+    Jerk,
     /// Standstill after a fault or emergency stop of either arm; rad/s, or radians of creep.
     RestAfterLatch,
     /// Standstill without a fresh, confident pose; rad/s, or radians of creep.
     RestWithoutPose,
+    /// Standstill of the hand while a condition inhibits motion; rad/s, or radians of creep.
+    RestWhileInhibited,
     /// The search for a lost target; metres, or m/s.
     Search,
     /// Standstill without the operator's command; rad/s, or radians of creep.
@@ -65,13 +71,15 @@ pub enum Invariant {
 
 impl Invariant {
     /// All invariants.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 16] = [
         Self::Record,
         Self::Position,
         Self::Speed,
         Self::Acceleration,
+        Self::Jerk,
         Self::RestAfterLatch,
         Self::RestWithoutPose,
+        Self::RestWhileInhibited,
         Self::Search,
         Self::RestWithoutWord,
         Self::LatchCleared,
@@ -89,8 +97,10 @@ impl Invariant {
             Self::Position => "position",
             Self::Speed => "speed",
             Self::Acceleration => "acceleration",
+            Self::Jerk => "jerk",
             Self::RestAfterLatch => "rest-after-latch",
             Self::RestWithoutPose => "rest-without-pose",
+            Self::RestWhileInhibited => "rest-while-inhibited",
             Self::Search => "search",
             Self::RestWithoutWord => "rest-without-word",
             Self::LatchCleared => "latch-cleared",

@@ -9,3 +9,4 @@ pub mod pa10;
 pub mod rules;
 pub mod shape;
 pub mod truth;
+pub mod who_may_move;

@@ -111,6 +111,8 @@ impl Rules {
     ///   runs request; a hand that is returned to its path is faster and farther by up to a third, or a fifth and 5 mm.
     /// * `too_fast_s`: five cycles. One until the first sample, one until the second sample confirms it, one by which
     ///   samples are old, one for the command to the brakes, and one of the record.
+    /// * `log_within_s`: 0.5 s for the reader, and the time for which the control loop stops both arms before it reports why: the
+    ///   brakes of one arm take 0.2 s, and an arm that does not answer is given up after 0.5 s more.
     /// * `disobedience_s`: 0.05 rad of tracking error at 0.05 rad/s, 0.1 s for which it must last, and the decay meanwhile.
     pub fn of_the_rig() -> Self {
         let camera = Rod { ends_m: [[0.0, -0.05, 0.04], [0.0, 0.05, 0.04]], radius_m: 0.07 };
@@ -151,7 +153,7 @@ impl Rules {
             target_apart_m: 0.300,
             hand_m_per_s: 0.4,
             target_braking_m: 0.075,
-            log_within_s: 0.5,
+            log_within_s: 1.2,
         }
     }
 }

@@ -51,21 +51,26 @@ pub struct ArmTruth {
     pub velocity_rad_per_s: Joints,
     /// Whether all servos are enabled.
     pub servo_on: bool,
+    /// By joint, whether its drive moves it: not while its brake holds it, or nothing does.
+    pub driven: [bool; 7],
     /// Whether all brakes hold.
     pub brakes_closed: bool,
     /// Time of the fault or emergency stop that is latched now, wherever it latched first (controller, gateway, driver,
     /// supervisor), seconds; none if nothing is latched.
     pub latched_since_s: Option<f64>,
-    /// Whether each joint follows its command: false while an injected fault moves a joint by itself.
-    pub obeys: bool,
-    /// The joint that an injected fault moves or blocks at present, from 0.
-    pub by_itself: Option<usize>,
-    /// Whether the operator's last command permits motion of the arm: for the hand `start` or `resume`, or the policy that
-    /// replaces `resume`, with no `hold`, `stop` or latched fault since; for the other arm the start of the experiment.
+    /// By joint, whether an injected fault moves or blocks it at present.
+    pub by_itself: [bool; 7],
+    /// By joint, whether it does not follow its command: while a fault moves it by itself, and until it has come to rest after that.
+    pub disobeys: [bool; 7],
+    /// Whether the operator's commands permit motion of the arm ([`WhoMayMove`](super::who_may_move::WhoMayMove)).
     pub may_go: bool,
     /// Time since the last command that could reach the arm, seconds: since the last control step, or since nothing from the
     /// host has reached the gateway of the arm.
     pub command_age_s: f64,
+    /// Whether commands may be lost or late on their way to the drives, or were so a short time ago.
+    pub commands_disturbed: bool,
+    /// Whether the program told the arm to hold, now or so short ago that the driver may still brake it.
+    pub ramps: bool,
 }
 
 impl ArmTruth {
@@ -75,13 +80,21 @@ impl ArmTruth {
             position_rad,
             velocity_rad_per_s: [0.0; 7],
             servo_on: true,
+            driven: [true; 7],
             brakes_closed: false,
             latched_since_s: None,
-            obeys: true,
-            by_itself: None,
+            by_itself: [false; 7],
+            disobeys: [false; 7],
             may_go: true,
             command_age_s: 0.0,
+            commands_disturbed: false,
+            ramps: false,
         }
+    }
+
+    /// Whether each joint follows its command.
+    pub fn obeys(&self) -> bool {
+        !self.disobeys.contains(&true)
     }
 }
 
@@ -99,7 +112,9 @@ pub struct Step {
     pub pose_age_s: f64,
     /// Whether the hand may search for the target: the run permits it, the target is lost, and not for too long.
     pub may_search: bool,
-    /// Number of resets by the operator.
+    /// Whether a condition inhibits motion of the hand, or has not been gone for long enough.
+    pub is_inhibited: bool,
+    /// Number of resets by the operator that may have cleared a latch.
     pub resets: u32,
     /// Name of the supervisor's state.
     pub state: &'static str,

@@ -72,6 +72,14 @@ pub enum Kind {
     Silence,
     /// A camera fault.
     Camera(CameraFaultKind),
+    /// Poses are those of so many pairs earlier, under the numbers and times of the new pairs: the camera buffers images.
+    OldContent(usize),
+    /// The operator's client sends random commands, each so much later at most, seconds, one after another and in any order.
+    Chatter(f64),
+    /// The gateway of this arm dies, and a new one starts at once.
+    GatewayRestart(usize),
+    /// The process of the host dies.
+    HostDies,
 }
 
 type Lines = fn(&mut Dice) -> (String, Option<String>);
@@ -119,7 +127,7 @@ const OF_ARMS: [(&str, Lines); 21] = [
 ];
 
 /// Names in tables of the kinds that do not belong to one arm.
-const OF_THE_CELL: [&str; 20] = [
+const OF_THE_CELL: [&str; 24] = [
     "estimates lost",
     "no pose",
     "low-confidence pose",
@@ -140,10 +148,18 @@ const OF_THE_CELL: [&str; 20] = [
     "operator command",
     "late operator command",
     "operator silent",
+    "old content under new numbers",
+    "operator commands in any order",
+    "gateway restarts",
+    "host process dies",
 ];
+
+/// Number of kinds of the first draw, which are not those of one arm.
+const FIRST_OF_THE_CELL: usize = 20;
 
 impl Kind {
     /// Number of kinds, without those of the cameras.
+    #[cfg(test)]
     pub const COUNT: usize = OF_THE_CELL.len() + OF_ARMS.len();
 
     /// A fault of one arm, by its name in tables.
@@ -153,9 +169,19 @@ impl Kind {
         Self::Arm { arm, name, line: line.to_owned(), end: end.map(str::to_owned) }
     }
 
-    /// Draws one of all kinds.
+    /// Draws one of the kinds that only the wide draw has.
+    pub fn draw_wide(dice: &mut Dice) -> Self {
+        match dice.below(9) {
+            0..3 => Self::OldContent(1 + dice.below(4)),
+            3..6 => Self::Chatter(dice.within(0.0, 0.6)),
+            6..8 => Self::GatewayRestart(dice.below(2)),
+            _ => Self::HostDies,
+        }
+    }
+
+    /// Draws one of the kinds of the first draw.
     pub fn draw(dice: &mut Dice) -> Self {
-        match dice.below(Self::COUNT) {
+        match dice.below(FIRST_OF_THE_CELL + OF_ARMS.len()) {
             0 => Self::EstimatesLost(dice.within(0.1, 1.0)),
             1 => Self::NoPose,
             2 => Self::Doubtful,
@@ -177,7 +203,7 @@ impl Kind {
             18 => Self::OperatorCommand(dice.pick(&OperatorCommand::ALL), dice.within(0.05, 2.0)),
             19 => Self::Silence,
             other => {
-                let (name, lines) = OF_ARMS[other - OF_THE_CELL.len()];
+                let (name, lines) = OF_ARMS[other - FIRST_OF_THE_CELL];
                 let (line, end) = lines(dice);
                 Self::Arm { arm: dice.below(2), name, line, end }
             }
@@ -207,6 +233,10 @@ impl Kind {
             Self::OperatorCommand(_, 0.0) => 17,
             Self::OperatorCommand(..) => 18,
             Self::Silence => 19,
+            Self::OldContent(_) => 20,
+            Self::Chatter(_) => 21,
+            Self::GatewayRestart(_) => 22,
+            Self::HostDies => 23,
             Self::Arm { name, .. } => return name,
             Self::Camera(kind) => return cameras::name(kind),
         }]
@@ -231,6 +261,7 @@ impl Kind {
         const MISSED_S: f64 = 0.1;
         match self {
             Self::EmergencyStopOfBoth => Some((0.0, TOLD_S)),
+            Self::GatewayRestart(_) | Self::HostDies => Some((0.0, MISSED_S)),
             Self::Overrun(by_s) if *by_s >= MISSED_S => Some((0.0, MISSED_S)),
             Self::Unplugged(_) => Some((0.0, MISSED_S)),
             Self::Arm { name: "bus: silent" | "line: silent" | "line: gateway deaf", .. } => Some((MISSED_S, MISSED_S)),
@@ -247,7 +278,7 @@ impl Kind {
     /// The arm concerned; `None` if both.
     pub fn arm(&self) -> Option<usize> {
         match self {
-            Self::Unplugged(arm) | Self::Arm { arm, .. } => Some(*arm),
+            Self::Unplugged(arm) | Self::GatewayRestart(arm) | Self::Arm { arm, .. } => Some(*arm),
             _ => None,
         }
     }
@@ -269,6 +300,25 @@ impl Kind {
         }
     }
 
+    /// Whether an alarm reports the fault.
+    pub fn is_alarm(&self) -> bool {
+        matches!(self, Self::Arm { name: "arm: servo alarm" | "arm: controller alarm", .. })
+    }
+
+    /// Whether commands to this arm may be lost or late because of the fault.
+    pub fn disturbs_commands_to(&self, to: usize) -> bool {
+        match self {
+            Self::Overrun(_) | Self::ClockJump(_) | Self::HostDies => true,
+            Self::Unplugged(arm) | Self::GatewayRestart(arm) => *arm == to,
+            Self::Arm { arm, name, .. } => {
+                // The guard discards a sample that jumps, and the arm holds.
+                let is_lost = name.starts_with("bus:") || name.starts_with("line:") || *name == "arm: encoder jumps";
+                *arm == to && is_lost
+            }
+            _ => false,
+        }
+    }
+
     /// Whether only the servo controller can report the fault.
     pub fn is_read_by_controller(&self) -> bool {
         match self {
@@ -287,6 +337,7 @@ impl Kind {
     pub fn may_stop(&self) -> bool {
         match self {
             Self::Arm { .. } | Self::Unplugged(_) | Self::EmergencyStopOfBoth => true,
+            Self::GatewayRestart(_) | Self::HostDies | Self::Chatter(_) => true,
             Self::Overrun(_) | Self::ClockJump(_) | Self::Silence => true,
             Self::OperatorCommand(word, _) => *word == OperatorCommand::Stop,
             _ => false,
@@ -310,7 +361,7 @@ impl Kind {
 
     /// Whether the fault ends with its time; an alarm stays.
     pub fn ends(&self) -> bool {
-        !matches!(self, Self::Arm { end: None, .. })
+        !matches!(self, Self::Arm { end: None, .. } | Self::GatewayRestart(_) | Self::HostDies)
     }
 
     /// The arm and the joint (from 0) that does not obey commands while the fault lasts.

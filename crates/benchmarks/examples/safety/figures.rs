@@ -104,11 +104,11 @@ impl Figures {
             let (mut range, mut speed, mut acceleration) = (0.0f64, 0.0f64, 0.0f64);
             for (index, step) in truth.steps.iter().enumerate() {
                 let now = &step.arms[arm];
-                let is_free = !now.obeys || !now.servo_on || now.brakes_closed;
+                let is_free = !now.obeys() || !now.servo_on || now.brakes_closed;
                 if now.command_age_s > fades_after_s || is_free {
                     late_s = step.t_s;
                 }
-                if !now.obeys || !now.servo_on {
+                if !now.obeys() || !now.servo_on {
                     continue;
                 }
                 for joint in 0..7 {

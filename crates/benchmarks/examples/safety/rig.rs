@@ -1,39 +1,41 @@
 //! One run of one scenario: the loop of `pb3dp run` with both arms emulated in virtual time, and all faults.
 
 use std::collections::VecDeque;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use nalgebra::{Matrix6, Vector3, Vector6};
 use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
 use pb3dp_cell::cell::FreeTarget;
+use pb3dp_cell::channels::Plan;
 use pb3dp_cell::halves::{Course, Mover, Watcher};
+use pb3dp_cell::journal::Journal;
+use pb3dp_cell::log::RunLog;
 use pb3dp_cell::looking::Looking;
 use pb3dp_cell::moving::{Moved, Moving};
+use pb3dp_cell::operator::Operator;
 use pb3dp_cell::percept::Percept;
 use pb3dp_cell::strip::Strip;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
-use pb3dp_servo::SearchConfig;
 use pb3dp_servo::supervisor::Confidence;
-use pb3dp_setup::setup::{Carrier, Leader, Pace, Setup, read_setup};
+use pb3dp_servo::{SearchConfig, TargetObservation};
+use pb3dp_setup::setup::{Carrier, Setup};
 use pb3dp_sim::camera_faults::CameraFaultKind;
 use pb3dp_wiring::{Wired, wire_cell};
-use system_tests::repository;
-use system_tests::safety::truth::Truth;
+use system_tests::safety::truth::{LogLine, Truth};
 
 use crate::cameras;
 use crate::effects::{self, Became};
 use crate::faults::{Fault, Kind};
+use crate::program_log::ProgramLog;
 use crate::recorder::{Recorder, Shared, lock};
 use crate::scenario::{Dice, Scenario};
-use crate::speaker::Speaker;
+use crate::speaker::{Overheard, Speaker};
 use crate::telling::Faults;
 
-/// Length of the history; disabling both arms takes less.
-const HISTORY: Duration = Duration::from_secs(5);
 /// The search in runs in which the hand may search for its target.
 const SEARCH: SearchConfig =
     SearchConfig { back_m: 0.05, radius_m: 0.05, turns: 2.0, speed_m_per_s: 0.03, time_s: 10.0 };
@@ -41,25 +43,10 @@ const SEARCH: SearchConfig =
 pub const SEARCH_MAX_S: f64 = 12.0;
 /// Time for which the arms are observed after the end of the control loop.
 const AFTERWARDS: Duration = Duration::from_millis(1500);
+/// Number of poses that are kept.
+const BUFFERED: usize = 8;
 /// Interval between these observations.
 const LOOK: Duration = Duration::from_millis(10);
-
-/// The setup of all runs: that of configs/hil.toml, in simulated time, with or without images.
-///
-/// # Errors
-/// If the file cannot be read.
-pub fn base(rendered: bool) -> Result<Setup> {
-    let mut setup = read_setup(&repository().join("configs/hil.toml"))?;
-    setup.pace = Pace::Fast;
-    setup.compared.clear();
-    if !rendered {
-        setup.leader = Leader::Geometric(setup.geometric.context("configs/hil.toml has no table estimator.geometric")?);
-    }
-    for arm in [&mut setup.rig.arms.vs, &mut setup.rig.arms.tc] {
-        arm.plant.history = HISTORY;
-    }
-    Ok(setup)
-}
 
 /// Result of one run.
 pub struct Ran {
@@ -71,15 +58,15 @@ pub struct Ran {
     pub became: Vec<Became>,
     /// Start of the control loop after that of the camera, seconds.
     pub lead_s: f64,
+    /// Commands, conditions and latches, for a trace.
+    pub notes: Vec<LogLine>,
 }
 
-/// Runs a scenario.
-///
-/// # Errors
-/// If it cannot be built: no run of this simulation is refused.
-pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
+/// The setup of a scenario.
+fn setup_of(base: &Setup, scenario: &Scenario) -> Setup {
     let mut setup = base.clone();
     setup.reseed(scenario.seed);
+    scenario.workcell.apply(&mut setup);
     setup.experiment.motion = scenario.motion.clone();
     setup.experiment.carrier = scenario.carrier;
     if let Some(world) = setup.world.as_mut() {
@@ -89,6 +76,15 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
         setup.controller.search = Some(SEARCH);
         setup.supervisor.search_max_s = SEARCH_MAX_S;
     }
+    setup
+}
+
+/// Runs a scenario.
+///
+/// # Errors
+/// If it cannot be built: no run of this simulation is refused.
+pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
+    let setup = setup_of(base, scenario);
     let Wired { parts, monitors, virtual_ends } = wire_cell(&setup, |cell, start| {
         let motion = scenario.motion.begin_at(start)?;
         if scenario.carrier == Carrier::Nothing {
@@ -109,14 +105,17 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
         (Strip::default(), &parts.clock),
         None,
     )?;
-    let mut moving = Moving::new(&setup, (parts.vs, parts.tc), &*parts.experiment, now)?;
-    if scenario.has_person {
-        let speaker = Speaker::new(scenario, Arc::clone(&clock), Arc::clone(&recorder));
-        moving = moving.with_operator(Box::new(speaker));
-    }
+    let log = ProgramLog::new(Arc::clone(&clock));
+    let operator: Box<dyn Operator> = match scenario.has_person {
+        true => Box::new(Speaker::new(scenario, Arc::clone(&clock), (Arc::clone(&recorder), log.clone()))),
+        false => Box::new(Overheard::new(scenario, Arc::clone(&clock), Arc::clone(&recorder))),
+    };
+    let moving = Moving::new(&setup, (parts.vs, parts.tc), &*parts.experiment, now)?.with_operator(operator);
+    let plan = Plan::of(&scenario.motion, &*parts.experiment);
     let cell = parts.cell;
     let mut watching = Watching {
         looking,
+        journal: Journal::new(&setup, (now, scenario.run_s), (RunLog::default(), plan)),
         begin_cell: Box::new(move |begin| cell.begin_at(begin)),
         scenario,
         clock: Arc::clone(&clock),
@@ -126,8 +125,10 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
         dice: Dice::new(!scenario.seed),
         hit: false,
         waiting: VecDeque::new(),
+        buffered: VecDeque::new(),
         standing: None,
     };
+    let interrupt = AtomicBool::new(false);
     let mut faulty = Faulty {
         inner: moving,
         scenario,
@@ -135,43 +136,53 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
         recorder: Arc::clone(&recorder),
         ends,
         begin: now,
+        interrupt: &interrupt,
         begun_s: vec![None; scenario.faults.len()],
         ended: vec![false; scenario.faults.len()],
     };
-    let interrupt = AtomicBool::new(false);
     let duration = Duration::from_secs_f64(scenario.run_s);
     let course = Course { setup: &setup, clock: &clock, duration, interrupt: &interrupt };
-    let outcome = course.run_in_lockstep(&mut watching, &mut faulty);
+    let outcome = tracing::subscriber::with_default(log.clone(), || course.run_in_lockstep(&mut watching, &mut faulty));
     let lead_s = watching.begin.seconds_since(watching.wired);
     let ended = outcome.err().map(|error| format!("{error:#}"));
-    Ok(afterwards(scenario, lead_s, (&clock, &recorder), ended))
+    if let Some(ended) = &ended {
+        // The program prints the failure that ends it.
+        log.push(ended.clone());
+    }
+    let log = log.take(watching.begin);
+    Ok(afterwards(scenario, (lead_s, log), (&clock, &recorder), ended))
 }
 
 /// Observes both arms for a while, and collects what was noticed.
 fn afterwards(
     scenario: &Scenario,
-    lead_s: f64,
+    (lead_s, log): (f64, Vec<LogLine>),
     (clock, recorder): (&Arc<dyn Clock>, &Shared),
     ended: Option<String>,
 ) -> Ran {
     let mut recording = lock(recorder);
-    recording.ended();
+    recording.ended(clock.now());
     recording.catch_up(clock.now());
     let until = clock.now() + AFTERWARDS;
     while clock.now() < until {
         clock.sleep_until(clock.now() + LOOK);
         recording.catch_up(clock.now());
     }
+    recording.noticed_s.extend(log.iter().map(|line| line.t_millis as f64 * 1e-3));
+    recording.truth.log = log;
     let (times, resets_s) = (recording.times(), std::mem::take(&mut recording.resets_s));
     let faults = Faults { faults: &scenario.faults, times: &times, resets_s: &resets_s };
     recording.truth.injected = faults.to_be_told(&recording.truth);
     let became = effects::all(scenario, &times, &recording);
-    Ran { truth: std::mem::take(&mut recording.truth), ended, became, lead_s }
+    let notes = std::mem::take(&mut recording.notes);
+    Ran { truth: std::mem::take(&mut recording.truth), ended, became, lead_s, notes }
 }
 
 /// The perception thread with its faults.
 struct Watching<'a> {
     looking: Looking<'a>,
+    /// The part of the program that writes the log of a run.
+    journal: Journal,
     begin_cell: Box<dyn Fn(MonotonicTime)>,
     scenario: &'a Scenario,
     clock: Arc<dyn Clock>,
@@ -184,6 +195,8 @@ struct Watching<'a> {
     hit: bool,
     /// Late percepts, and when they are due.
     waiting: VecDeque<(MonotonicTime, Percept)>,
+    /// The last poses.
+    buffered: VecDeque<Option<TargetObservation>>,
     /// The image number that repeats.
     standing: Option<u64>,
 }
@@ -194,12 +207,14 @@ impl Watcher for Watching<'_> {
     fn begin_at(&mut self, begin: MonotonicTime) {
         (self.begin_cell)(begin);
         self.looking.begin_at(begin);
+        self.journal.begin_at(begin);
         self.begin = begin;
         lock(&self.recorder).begin_at(begin);
     }
 
     fn moved(&mut self, step: &Moved) {
         self.looking.push_joints(step.vs_joints);
+        self.journal.note(step, None);
         lock(&self.recorder).moved(step, self.clock.now());
     }
 
@@ -208,6 +223,8 @@ impl Watcher for Watching<'_> {
         let (now, t_s) = (self.clock.now(), self.clock.now().seconds_since(self.begin));
         self.note_cameras(seen.as_ref(), t_s);
         let Some(percept) = seen else { return Ok(None) };
+        self.buffered.push_front(percept.observation);
+        self.buffered.truncate(BUFFERED);
         let mut changed = Some(percept);
         for (index, fault) in self.scenario.faults.iter().enumerate().filter(|(_, fault)| fault.is_on(t_s)) {
             let Some(percept) = changed else { break };
@@ -283,6 +300,12 @@ impl Watching<'_> {
                 let number = *self.standing.get_or_insert(percept.frame.sequence.saturating_sub(1));
                 percept.frame.sequence = number;
             }
+            Kind::OldContent(pairs) => {
+                let old = self.buffered.get(pairs).copied().flatten();
+                if let (Some(observation), Some(old)) = (&mut percept.observation, old) {
+                    observation.cam_left_from_model = old.cam_left_from_model;
+                }
+            }
             Kind::Scatter(by_m) => {
                 let side = [0, 1, 2].map(|_| self.dice.within(-1.0, 1.0));
                 scatter(&mut percept, by_m, side);
@@ -324,6 +347,8 @@ struct Faulty<'a> {
     clock: Arc<dyn Clock>,
     recorder: Shared,
     ends: Vec<VirtualEnd>,
+    /// Ends the control loop.
+    interrupt: &'a AtomicBool,
     begin: MonotonicTime,
     /// When each fault actually began, seconds: while the arms are being enabled the control loop waits.
     begun_s: Vec<Option<f64>>,
@@ -343,7 +368,7 @@ impl Mover for Faulty<'_> {
     }
 
     fn observe(&mut self, percept: Percept, now: MonotonicTime) {
-        lock(&self.recorder).delivered(&percept, self.clock.now());
+        lock(&self.recorder).delivered(&percept);
         self.inner.observe(percept, self.shown(now));
     }
 
@@ -363,7 +388,9 @@ impl Mover for Faulty<'_> {
                 lock(&self.recorder).ceased(index, self.clock.now());
             }
         }
-        let stepped = self.inner.step(self.shown(now));
+        let shown = self.shown(now);
+        lock(&self.recorder).stepping([now, shown], self.clock.now());
+        let stepped = self.inner.step(shown);
         if let Err(why) = &stepped {
             lock(&self.recorder).failed(why, self.clock.now());
         }
@@ -398,6 +425,14 @@ impl Faulty<'_> {
                 }
             }
             Kind::Unplugged(arm) => self.ends[*arm].unplug(),
+            Kind::GatewayRestart(arm) => self.ends[*arm].restart_gateway(),
+            Kind::HostDies => {
+                for line in self.ends.iter().flat_map(|end| [(end, "line deaf on"), (end, "line silence on")]) {
+                    line.0.command_line(line.1)?;
+                }
+                lock(&self.recorder).dies(self.clock.now());
+                self.interrupt.store(true, Ordering::SeqCst);
+            }
             Kind::Arm { arm, line, .. } => self.ends[*arm].command_line(line)?,
             _ => {}
         }

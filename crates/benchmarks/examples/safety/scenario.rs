@@ -6,6 +6,7 @@ use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig, S
 
 use crate::cameras;
 use crate::faults::{Fault, Kind};
+use crate::workcell::Workcell;
 
 /// Length of a run, virtual seconds.
 pub const RUN_S: f64 = 20.0;
@@ -22,6 +23,18 @@ const BY_CAMERA: f64 = 0.6;
 const SEARCHES: f64 = 0.25;
 /// Draws that existed before these two stay as they were.
 const OTHER_DICE: u64 = 0xca3e_7a00_0000_0000;
+
+/// Draws of the wide draw.
+const WIDE_DICE: u64 = 0x51de_0000_0000_0000;
+/// Share of the runs of the wide draw with an additional fault that the first draw does not have.
+const MORE: f64 = 0.5;
+/// Share of those runs with two faults at once.
+const AT_ONCE: f64 = 0.3;
+/// Faults at once begin within this time, seconds.
+const AT_ONCE_S: f64 = 0.05;
+
+/// Name of the motion of a run that proves a safeguard.
+pub const PROOF: &str = "proof";
 
 /// Random numbers: the same seed gives the same ones on every machine.
 pub struct Dice {
@@ -81,11 +94,30 @@ pub struct Scenario {
     pub has_person: bool,
     /// Whether the hand may search for a lost target.
     pub searches: bool,
+    /// The workcell.
+    pub workcell: Workcell,
 }
 
 impl Scenario {
-    /// The scenario of this seed.
+    /// The scenario of this seed: that of the first draw in another workcell, with further faults.
     pub fn of(seed: u64) -> Self {
+        let mut scenario = Self::first(seed);
+        let mut dice = Dice::new(seed ^ WIDE_DICE);
+        scenario.workcell = Workcell::draw(&mut dice);
+        if dice.unit() < MORE {
+            let from_s = dice.within(FIRST_FAULT_S, RUN_S - LAST_FAULT_S);
+            scenario.faults.push(Fault { kind: Kind::draw_wide(&mut dice), from_s, for_s: dice.within(0.1, 3.0) });
+        }
+        if dice.unit() < AT_ONCE {
+            let (first, second) = (dice.below(scenario.faults.len()), dice.below(scenario.faults.len()));
+            scenario.faults[second].from_s = scenario.faults[first].from_s + dice.within(0.0, AT_ONCE_S);
+        }
+        scenario.faults.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
+        scenario
+    }
+
+    /// The scenario of this seed in the first draw: the workcell of `configs/hil.toml`, exactly known.
+    pub fn first(seed: u64) -> Self {
         let mut dice = Dice::new(seed);
         let (motion_name, motion, carrier) = motion(&mut dice);
         let count = 1 + dice.below(5);
@@ -107,7 +139,8 @@ impl Scenario {
         }
         faults.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
         let has_person = dice.unit() < 0.5;
-        Self { seed, motion_name, motion, carrier, faults, run_s: RUN_S, has_person, searches }
+        let workcell = Workcell::default();
+        Self { seed, motion_name, motion, carrier, faults, run_s: RUN_S, has_person, searches, workcell }
     }
 }
 
@@ -183,6 +216,8 @@ mod tests {
         let text = |seed| format!("{:?}", Scenario::of(seed));
         assert_eq!(text(7), text(7));
         assert_ne!(text(7), text(8));
+        let first = Scenario::first(7);
+        assert!(first.workcell.lag == [1.0; 2] && first.faults.len() <= 5, "the first draw is without change");
         let runs: Vec<_> = (0..2000).map(Scenario::of).collect();
         let kinds: BTreeSet<&str> = runs.iter().flat_map(|run| &run.faults).map(|fault| fault.kind.name()).collect();
         assert_eq!(kinds.len(), Kind::COUNT + cameras::COUNT, "{kinds:?}");
@@ -190,7 +225,7 @@ mod tests {
         let motions: BTreeSet<&str> = runs.iter().map(|run| run.motion_name).collect();
         assert_eq!(motions.len(), 6);
         for run in &runs {
-            assert!((1..=5).contains(&run.faults.len()));
+            assert!((1..=6).contains(&run.faults.len()));
             assert!(run.faults.iter().all(|fault| fault.from_s >= FIRST_FAULT_S && fault.from_s < RUN_S));
         }
     }

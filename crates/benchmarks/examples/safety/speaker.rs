@@ -3,14 +3,15 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use pb3dp_cell::operator::Operator;
+use pb3dp_cell::operator::{ByCommand, Operator};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
 use pb3dp_servo::supervisor::{Decision, OperatorCommand, OperatorInput, OperatorRequest, State};
 
 use crate::faults::Kind;
+use crate::program_log::ProgramLog;
 use crate::recorder::{Shared, lock};
-use crate::scenario::{Dice, Scenario};
+use crate::scenario::{Dice, PROOF, Scenario};
 
 /// Reaction time of the operator, seconds.
 const THINKS_S: (f64, f64) = (0.1, 1.0);
@@ -20,18 +21,22 @@ pub struct Speaker {
     scenario: Scenario,
     clock: Arc<dyn Clock>,
     recorder: Shared,
+    log: ProgramLog,
     dice: Dice,
     /// Which commands of the scenario were given.
     said: Vec<bool>,
     /// State for which the next command is meant, and its time.
     next: Option<(State, MonotonicTime)>,
     heard_at: Option<MonotonicTime>,
+    /// The command of this step is a reset.
+    resets: bool,
 }
 
 impl Speaker {
     /// The operator of this scenario.
-    pub fn new(scenario: &Scenario, clock: Arc<dyn Clock>, recorder: Shared) -> Self {
+    pub fn new(scenario: &Scenario, clock: Arc<dyn Clock>, (recorder, log): (Shared, ProgramLog)) -> Self {
         Self {
+            log,
             said: vec![false; scenario.faults.len()],
             dice: Dice::new(scenario.seed ^ 0x5eed),
             scenario: scenario.clone(),
@@ -39,6 +44,7 @@ impl Speaker {
             recorder,
             next: None,
             heard_at: None,
+            resets: false,
         }
     }
 
@@ -51,6 +57,21 @@ impl Speaker {
                 *said = true;
                 lock(&self.recorder).touched(index);
                 return Some((*word, *late_s));
+            }
+        }
+        None
+    }
+
+    /// A command of a client that sends them in any order, while it does.
+    fn of_chatter(&mut self, t_s: f64) -> Option<(OperatorCommand, f64)> {
+        /// Share of the control steps with a command.
+        const SHARE: f64 = 0.2;
+        for (index, fault) in self.scenario.faults.iter().enumerate().filter(|(_, fault)| fault.is_on(t_s)) {
+            if let Kind::Chatter(late_s) = fault.kind
+                && self.dice.unit() < SHARE
+            {
+                lock(&self.recorder).touched(index);
+                return Some((self.dice.pick(&OperatorCommand::ALL), self.dice.within(0.0, late_s)));
             }
         }
         None
@@ -98,12 +119,14 @@ impl Operator for Speaker {
             return OperatorInput { heard_at: self.heard_at, ..OperatorInput::default() };
         }
         self.heard_at = Some(now);
-        let word = self.of_scenario(t_s).or_else(|| self.by_itself(last, at).map(|word| (word, 0.0)));
+        let given = self.of_scenario(t_s).or_else(|| self.of_chatter(t_s));
+        let word = given.or_else(|| self.by_itself(last, at).map(|word| (word, 0.0)));
+        self.resets = word.is_some_and(|(word, _)| word == OperatorCommand::Reset);
         let mut recorder = lock(&self.recorder);
-        recorder.heard(at);
+        recorder.heard(now);
         let said = word.map(|(word, late_s)| {
             let late = Duration::from_secs_f64(late_s);
-            recorder.told(word, at - late, at);
+            recorder.told(word, now - late, at);
             OperatorRequest { word, at: now - late }
         });
         OperatorInput { said, heard_at: self.heard_at, silent_after: None }
@@ -112,9 +135,11 @@ impl Operator for Speaker {
     fn show(&mut self, _decision: &Decision) {}
 
     fn tell(&mut self, trouble: Option<String>) {
-        if let Some(trouble) = trouble {
-            lock(&self.recorder).say(self.clock.now(), format!("report to the operator: {trouble}"));
+        let Some(trouble) = trouble else { return };
+        if self.resets {
+            lock(&self.recorder).reset_failed();
         }
+        self.log.push(trouble);
     }
 
     fn is_person(&self) -> bool {
@@ -123,5 +148,46 @@ impl Operator for Speaker {
 
     fn can_fall_silent(&self) -> bool {
         true
+    }
+}
+
+/// The operator of a run without a person: the program itself.
+pub struct Overheard {
+    /// No `start` is given before, seconds: with disabled safeguards the supervisor would accept it before there are poses.
+    starts_at_s: f64,
+    clock: Arc<dyn Clock>,
+    recorder: Shared,
+}
+
+impl Overheard {
+    /// The same commands as [`ByCommand`], recorded.
+    pub fn new(scenario: &Scenario, clock: Arc<dyn Clock>, recorder: Shared) -> Self {
+        Self { starts_at_s: if scenario.motion_name == PROOF { 0.8 } else { 0.0 }, clock, recorder }
+    }
+}
+
+impl Operator for Overheard {
+    fn listen(&mut self, last: Option<&Decision>, now: MonotonicTime) -> OperatorInput {
+        let mut input = ByCommand.listen(last, now);
+        let mut recorder = lock(&self.recorder);
+        let is_early = recorder.t_s(self.clock.now()) < self.starts_at_s;
+        input.said = input.said.filter(|said| said.word != OperatorCommand::Start || !is_early);
+        recorder.heard(now);
+        if let Some(said) = input.said {
+            recorder.told(said.word, said.at, self.clock.now());
+        }
+        input
+    }
+
+    fn show(&mut self, _decision: &Decision) {}
+
+    fn tell(&mut self, _trouble: Option<String>) {}
+
+    fn is_person(&self) -> bool {
+        ByCommand.is_person()
+    }
+
+    fn can_fall_silent(&self) -> bool {
+        ByCommand.can_fall_silent()
     }
 }

@@ -8,6 +8,8 @@ use crate::faults::Fault;
 const KNOWN_S: f64 = 0.02;
 /// A fault that ended longer ago than this stops no arm, seconds: a lost link is detected within that time.
 const LATE_S: f64 = 0.1;
+/// The log gives the reason of a stop within this time, seconds: the control loop stops both arms before.
+const STOPPED_S: f64 = 0.7;
 /// Resetting both arms takes this time, seconds; a control step waits for it.
 const RESET_S: f64 = 0.6;
 /// Tolerance of comparisons of times, seconds.
@@ -107,7 +109,8 @@ impl Faults<'_> {
             .any(|(_, (_, times))| times.overlaps(at_s - LATE_S, at_s + KNOWN_S));
         let is_told = truth.log.iter().any(|line| {
             let t_s = line.t_millis as f64 * 1e-3;
-            (at_s - NEAR_S..=at_s + KNOWN_S).contains(&t_s) && ARM_NAMES.iter().any(|name| line.text.starts_with(name))
+            (at_s - NEAR_S..=at_s + KNOWN_S + STOPPED_S).contains(&t_s)
+                && ARM_NAMES.iter().any(|name| line.text.contains(name))
         });
         is_there && is_told
     }
@@ -150,6 +153,7 @@ mod tests {
                 world_from_target,
                 pose_age_s: 0.0,
                 may_search: false,
+                is_inhibited: false,
                 resets: 0,
                 state: "fault",
                 says_why: true,

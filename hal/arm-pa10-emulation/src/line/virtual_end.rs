@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
 use pb3dp_arm_pa10::arm::VirtualFarEnd;
+use pb3dp_arm_pa10_gateway::gateway::Gateway;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
 use pb3dp_hal_platform::transport::Connector;
@@ -54,6 +55,19 @@ impl VirtualEnd {
     /// Plugs the cable in again. A reset restores the arm.
     pub fn plug(&self) {
         self.set_plugged(true);
+    }
+
+    /// The process of the gateway dies in the middle of its work, and a new one starts, which knows nothing of it. The cable stays
+    /// plugged in.
+    pub fn restart_gateway(&self) {
+        let mut far = lock(&self.far);
+        let now = far.now();
+        if let Some(gateway) = &mut far.gateway
+            && let Ok(new) = Gateway::new(*gateway.config(), now)
+        {
+            *gateway = new;
+            self.touched.store(true, Ordering::Release);
+        }
     }
 
     fn set_plugged(&self, is_plugged: bool) {

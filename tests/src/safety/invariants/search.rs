@@ -11,7 +11,7 @@ pub(super) fn check(rules: &Rules, steps: &[Step], found: &mut Found) {
         |step: &Step| links(&arm_rules.body.lengths_m, &step.arms[HAND_ARM].position_rad).flange.translation_m;
     let may = |step: &Step| {
         let arm = &step.arms[HAND_ARM];
-        step.may_search && step.pose_age_s > rules.pose_age_max_s && arm.obeys && arm.servo_on
+        step.may_search && step.pose_age_s > rules.pose_age_max_s && arm.obeys() && arm.servo_on
     };
     // When a hand that moved at the loss must have braked, and the position from which it then searches.
     let mut braked_s: Option<f64> = None;

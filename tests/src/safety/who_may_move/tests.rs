@@ -1,0 +1,290 @@
+//! The model permits what docs/supervisor.md permits, and nothing else.
+
+use super::*;
+
+/// Control steps of 10 ms, and a confident pair every 30 ms that is 70 ms old.
+struct Cell {
+    model: WhoMayMove,
+    /// True time, and what the clock of the control loop adds.
+    t_s: f64,
+    shown_s: f64,
+    pairs: bool,
+    pair: Pair,
+    hears: bool,
+    heard_s: f64,
+    disabled_s: f64,
+    count: u64,
+}
+
+impl Cell {
+    fn new(has_person: bool) -> Self {
+        let pair = Pair {
+            number: 0,
+            exposed_s: -0.07,
+            skew_s: 0.0,
+            target: 1,
+            has_pose: true,
+            is_confident: true,
+            sigma: [0.001; 2],
+        };
+        let model = WhoMayMove::new(has_person, 10.0);
+        let (t_s, shown_s, heard_s, disabled_s, count) = (0.0, 0.0, 0.0, 0.0, 0);
+        Self { model, t_s, shown_s, pairs: true, pair, hears: true, heard_s, disabled_s, count }
+    }
+
+    fn step(&mut self) {
+        (self.t_s, self.count) = (self.t_s + 0.01, self.count + 1);
+        let now_s = self.t_s + self.shown_s;
+        if self.pairs && self.count.is_multiple_of(3) {
+            (self.pair.number, self.pair.exposed_s) = (self.pair.number + 1, self.t_s - 0.07);
+            self.model.saw(self.pair);
+        }
+        if self.hears {
+            self.heard_s = now_s;
+        }
+        let heard_s = Some(self.heard_s);
+        self.model.stepped(&Moment { now_s, true_s: self.t_s, heard_s, disabled_s: self.disabled_s });
+    }
+
+    fn run(&mut self, seconds: f64) {
+        for _ in 0..(seconds * 100.0).round() as u32 {
+            self.step();
+        }
+    }
+
+    fn say(&mut self, word: Word) {
+        self.say_late(word, 0.0);
+    }
+
+    fn say_late(&mut self, word: Word, late_s: f64) {
+        self.model.said(word, self.t_s + 0.01 + self.shown_s - late_s);
+        self.step();
+    }
+
+    /// Hand, target arm.
+    fn may(&self) -> [bool; 2] {
+        let hand = self.model.hand_may_go() && !self.model.is_hand_inhibited(self.t_s);
+        [hand, self.model.target_may_go()]
+    }
+
+    /// A cell whose operator has started the motion.
+    fn going() -> Self {
+        let mut cell = Self::new(true);
+        cell.run(0.5);
+        cell.say(Word::Select);
+        cell.run(0.5);
+        cell.say(Word::Start);
+        assert_eq!(cell.may(), [true; 2]);
+        cell
+    }
+}
+
+#[test]
+fn nothing_moves_before_the_start_and_select_alone_starts_nothing() {
+    let mut cell = Cell::new(true);
+    for word in [Word::Start, Word::Resume, Word::Reset, Word::Select, Word::Resume] {
+        cell.run(0.5);
+        cell.say(word);
+        assert_eq!(cell.may(), [false; 2], "{word:?}");
+    }
+    cell.run(0.5);
+    cell.say(Word::Start);
+    assert_eq!(cell.may(), [true; 2]);
+    // Without a person the target arm follows its path from the beginning.
+    assert_eq!(Cell::new(false).may(), [false, true]);
+}
+
+#[test]
+fn a_start_needs_poses_of_the_selected_target_for_some_time() {
+    let mut cell = Cell::new(true);
+    cell.run(0.5);
+    cell.say(Word::Select);
+    cell.run(0.15);
+    cell.say(Word::Start);
+    assert!(!cell.may()[0]);
+    cell.run(0.5);
+    cell.say(Word::Start);
+    assert!(cell.may()[0]);
+}
+
+#[test]
+fn a_refused_command_has_no_effect() {
+    let mut cell = Cell::new(true);
+    cell.run(0.5);
+    cell.say(Word::Select);
+    cell.run(0.5);
+    cell.model.said(Word::Start, cell.t_s);
+    cell.model.refused();
+    cell.step();
+    assert_eq!(cell.may(), [false; 2]);
+}
+
+#[test]
+fn hold_holds_both_arms_and_hold_hand_one() {
+    for (word, target) in [(Word::Hold, false), (Word::HoldHand, true)] {
+        let mut cell = Cell::going();
+        cell.say(word);
+        assert_eq!(cell.may(), [false, target], "{word:?}");
+        cell.run(2.0);
+        assert_eq!(cell.may(), [false, target], "{word:?}");
+        cell.say(Word::Start);
+        assert_eq!(cell.may(), [false, target], "a start needs a selection");
+        cell.say(Word::Resume);
+        assert_eq!(cell.may(), [true; 2]);
+    }
+    // `hold hand` after `hold` releases nothing, and neither does a selection.
+    let mut cell = Cell::going();
+    cell.say(Word::Hold);
+    cell.say(Word::HoldHand);
+    assert_eq!(cell.may(), [false; 2]);
+    cell.say(Word::Select);
+    cell.run(1.0);
+    assert_eq!(cell.may(), [false; 2]);
+}
+
+#[test]
+fn a_command_that_is_late_or_older_than_the_hold_has_no_effect() {
+    let mut cell = Cell::going();
+    cell.say(Word::Hold);
+    cell.run(0.3);
+    cell.say_late(Word::Resume, 0.35);
+    assert!(!cell.may()[0], "given before the hold");
+    cell.run(2.0);
+    cell.say_late(Word::Resume, 0.55);
+    assert!(!cell.may()[0], "too old");
+    cell.say_late(Word::Resume, 0.45);
+    assert!(cell.may()[0]);
+}
+
+#[test]
+fn after_a_stop_reset_select_and_start_must_follow() {
+    let mut cell = Cell::going();
+    cell.say(Word::Stop);
+    for word in [Word::Resume, Word::Select, Word::Start, Word::Reset, Word::Start, Word::Select] {
+        cell.run(0.5);
+        cell.say(word);
+        assert_eq!(cell.may(), [false; 2], "{word:?}");
+    }
+    assert_eq!(cell.model.resets(), 1);
+    cell.run(0.5);
+    cell.say(Word::Start);
+    assert_eq!(cell.may(), [true; 2]);
+    cell.model.latched();
+    assert_eq!((cell.may(), cell.model.is_latched()), ([false; 2], true));
+    cell.say(Word::Resume);
+    assert_eq!(cell.may(), [false; 2]);
+}
+
+#[test]
+fn a_silence_stops_both_arms() {
+    let mut cell = Cell::going();
+    cell.hears = false;
+    cell.run(0.95);
+    assert_eq!(cell.may(), [true; 2]);
+    cell.run(0.1);
+    assert!(cell.model.is_latched());
+    cell.hears = true;
+    cell.run(1.0);
+    assert_eq!(cell.may(), [false; 2]);
+}
+
+#[test]
+fn after_a_step_of_the_clock_and_disabled_drives_both_arms_wait_for_the_operator() {
+    for change in [
+        (|cell: &mut Cell| cell.shown_s += 0.5) as fn(&mut Cell),
+        |cell| cell.shown_s -= 0.05,
+        |cell| cell.disabled_s = 0.2,
+    ] {
+        let mut cell = Cell::going();
+        change(&mut cell);
+        cell.step();
+        assert_eq!(cell.may(), [false; 2]);
+        (cell.disabled_s, cell.shown_s) = (0.0, 0.0);
+        cell.run(2.0);
+        assert_eq!(cell.may(), [false; 2]);
+        cell.say(Word::Resume);
+        assert_eq!(cell.may(), [true; 2]);
+    }
+    let mut cell = Cell::going();
+    cell.shown_s += 0.15;
+    cell.run(0.5);
+    assert_eq!(cell.may(), [true; 2], "a step of 0.16 s is allowed");
+    // The clock stays behind the measurements.
+    cell.shown_s = -0.3;
+    cell.run(2.0);
+    cell.say(Word::Resume);
+    assert_eq!(cell.may(), [false; 2]);
+}
+
+#[test]
+fn another_target_is_followed_only_after_a_command() {
+    let mut cell = Cell::going();
+    cell.pair.target = 2;
+    cell.run(0.5);
+    assert_eq!(cell.may(), [false, true]);
+    cell.say(Word::Resume);
+    assert_eq!(cell.may(), [false, true], "the other target is still followed");
+    cell.pair.target = 1;
+    cell.run(0.5);
+    assert_eq!(cell.may(), [false, true], "nothing resumes by itself");
+    cell.say(Word::Resume);
+    assert_eq!(cell.may(), [true; 2]);
+    // A start that was given while another target was followed.
+    cell.say(Word::Hold);
+    cell.say(Word::Select);
+    cell.run(1.0);
+    cell.pair.target = 3;
+    cell.run(0.25);
+    cell.say_late(Word::Start, 0.4);
+    assert!(!cell.may()[0]);
+    cell.say(Word::Start);
+    assert_eq!((cell.may()[0], cell.model.started()), (true, Some(3)));
+}
+
+/// The hand holds while a condition is active, and resumes 0.2 s of confident poses after it.
+#[test]
+fn conditions_inhibit_the_hand_until_they_have_been_gone_for_some_time() {
+    type Change = fn(&mut Cell);
+    let cases: [(&str, Change, f64); 5] = [
+        ("no pairs", |cell| cell.pairs = false, 0.3),
+        ("no confident pose", |cell| cell.pair.is_confident = false, 0.3),
+        ("exposures", |cell| cell.pair.skew_s = -0.006, 0.16),
+        ("uncertain position", |cell| cell.pair.sigma = [0.021, 0.0], 0.26),
+        ("uncertain orientation", |cell| cell.pair.sigma = [0.0, 0.11], 0.26),
+    ];
+    for (name, change, within_s) in cases {
+        let mut cell = Cell::going();
+        let pair = cell.pair;
+        change(&mut cell);
+        cell.run(within_s);
+        assert_eq!(cell.may(), [false, true], "{name}");
+        cell.run(0.3);
+        let number = cell.pair.number;
+        (cell.pairs, cell.pair) = (true, Pair { number, ..pair });
+        cell.run(0.2);
+        assert!(!cell.may()[0], "{name}: too soon");
+        cell.run(0.1);
+        assert_eq!(cell.may(), [true; 2], "{name}");
+    }
+    let mut cell = Cell::going();
+    cell.pair.number -= 5;
+    cell.run(0.04);
+    assert!(!cell.may()[0], "order of the images");
+}
+
+#[test]
+fn a_hand_searches_once_for_some_time_and_not_while_it_is_held() {
+    let mut cell = Cell::going();
+    cell.pairs = false;
+    cell.run(0.9);
+    assert!(!cell.model.may_search(cell.t_s));
+    cell.run(0.1);
+    assert!(cell.model.may_search(cell.t_s));
+    cell.run(10.0);
+    assert!(!cell.model.may_search(cell.t_s));
+    let mut cell = Cell::going();
+    cell.say(Word::HoldHand);
+    cell.pairs = false;
+    cell.run(2.0);
+    assert!(!cell.model.may_search(cell.t_s));
+}
