@@ -6,6 +6,7 @@ mod closed_loop;
 mod configs;
 mod control_no_allocation;
 mod effective_limits;
+mod rates;
 mod real_pairs;
 mod real_time;
 mod safety_numbers;
