@@ -9,9 +9,11 @@
 pub mod arm;
 pub mod clock;
 mod codes;
+pub mod recent;
 pub mod stereo_camera;
 
 pub use arm::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand};
 pub use clock::Clock;
 pub use pb3dp_kinematics::JointState;
+pub use recent::RecentFailures;
 pub use stereo_camera::{CameraError, CameraErrorKind, DeliveredImage, FramePair, StereoCamera, StereoCameraInfo};

@@ -56,10 +56,15 @@ const AT_REST_RAD: f64 = 1e-3;
 /// Below the minimum clearance an arm may move away if half of its stopping motion is at most this, rad.
 const SHORT_WAY_RAD: f64 = 0.02;
 
+/// Arms that hold may come nearer by this, metres: joints swing when they stop, and a creeping joint should be stopped by its guard first.
+/// Chosen: a tenth of the smallest usual clearance; the swing of 0.002 rad that a guard allows moves a hand by 2 mm.
+const HOLD_SWING_M: f64 = 0.005;
+
 /// One of two coupled arms; [`couple`] creates both.
 ///
 /// * A set-point is `Rejected`, and the arm holds, if the arms could come closer than allowed before both are stationary. If they
 ///   are closer already and the other one is stationary, an arm may move away.
+/// * Both arms are stopped and latched if they come closer than allowed while they hold: a joint creeps or is pushed.
 /// * If one arm has a fault, an emergency stop or a lost link, the other one holds from its next exchange on and is latched in
 ///   `Fault`. The arm that failed must be reset first.
 ///
@@ -74,6 +79,8 @@ pub struct Coupled<A> {
 struct Cell {
     sides: [Side; 2],
     least_m: f64,
+    /// Clearance that arms which hold keep: the allowed one, or the measured one if they were found closer. `None` before it is known.
+    held_m: Option<f64>,
     statistics: CoupledStatistics,
 }
 
@@ -115,6 +122,7 @@ pub fn couple<A: Arm, B: Arm>(
     let cell = Cell {
         sides: [Side::new(first.info(), first_config), Side::new(second.info(), second_config)],
         least_m: least_room_m,
+        held_m: None,
         statistics: CoupledStatistics { least_room_m: f64::INFINITY, refused: 0 },
     };
     let cell = Arc::new(Mutex::new(cell));
@@ -219,6 +227,21 @@ impl Cell {
         ))
     }
 
+    /// Why arms that hold must be stopped, if so: they have come closer than allowed, or than they were found.
+    fn nearing(&mut self, side: usize) -> Option<String> {
+        let (own, other) = (self.sides[side].resting()?, self.sides[1 - side].resting()?);
+        let (room_m, which) = self.room(side, &own, &other);
+        let kept_m = self.held_m.map_or(room_m, |held_m| held_m.max(room_m)).min(self.least_m);
+        self.held_m = Some(kept_m);
+        (room_m < kept_m - HOLD_SWING_M).then(|| {
+            format!(
+                "{which} are {:.0} mm apart although this arm holds, the minimum clearance is {:.0} mm: a joint creeps or is pushed",
+                room_m * 1e3,
+                self.least_m * 1e3
+            )
+        })
+    }
+
     /// Whether every part of a short stopping motion leads away from the other, stationary arm.
     fn leads_away(&self, side: usize, own: &Sweep, other: &Sweep) -> bool {
         let Some(here) = self.sides[side].resting() else { return false };
@@ -280,10 +303,31 @@ impl<A: Arm + ArmPower> Coupled<A> {
         self.latched().map_or(Ok(()), |reason| Err(self.stopped_error(&reason)))
     }
 
+    /// It is at rest where it was enabled, perhaps too near to the other one.
+    fn note_enabled(&self) {
+        let mut cell = self.cell();
+        cell.sides[self.side].last.note_rest();
+        cell.held_m = None;
+    }
+
     /// Its range until it stops was known before, and is valid until the next sample.
     fn note_stop(&self) {
         let now = self.clock.now();
         self.cell().sides[self.side].last.note_hold(now);
+    }
+
+    /// Forwards a hold, and stops both arms if they come closer meanwhile.
+    fn hold(&mut self, now: MonotonicTime) -> Result<JointState, ArmError> {
+        let sample = self.forward(JointCommand::Hold, now)?;
+        if self.arm.state() != ArmState::Enabled || self.latched().is_some() || is_off(Safeguard::CouplingRoom) {
+            return Ok(sample);
+        }
+        let Some(reason) = self.cell().nearing(self.side) else { return Ok(sample) };
+        let mut cell = self.cell();
+        cell.stop_both(self.side, &reason);
+        cell.sides[self.side].latched.get_or_insert(reason.clone());
+        drop(cell);
+        Err(self.error(ArmErrorKind::Fault, &format!("{reason}; both arms are stopped")))
     }
 
     /// Forwards a command and evaluates the result.
@@ -333,7 +377,7 @@ impl<A: Arm + ArmPower> Arm for Coupled<A> {
 
     fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
         let now = self.clock.now();
-        let JointCommand::Velocity(velocity) = command else { return self.forward(command, now) };
+        let JointCommand::Velocity(velocity) = command else { return self.hold(now) };
         if let Some(reason) = self.latched() {
             self.forward(JointCommand::Hold, now)?;
             return Err(self.stopped_error(&reason));
@@ -372,7 +416,7 @@ impl<A: Arm + ArmPower> ArmPower for Coupled<A> {
     fn enable(&mut self) -> Result<(), ArmError> {
         self.check_latched()?;
         self.arm.enable()?;
-        self.cell().sides[self.side].last.note_rest();
+        self.note_enabled();
         Ok(())
     }
 
@@ -385,7 +429,7 @@ impl<A: Arm + ArmPower> ArmPower for Coupled<A> {
         self.check_latched()?;
         let is_on = self.arm.poll_enable()?;
         if is_on {
-            self.cell().sides[self.side].last.note_rest();
+            self.note_enabled();
         }
         Ok(is_on)
     }
@@ -415,6 +459,7 @@ impl<A: Arm + ArmPower> ArmPower for Coupled<A> {
         }
         cell.sides[self.side].latched = None;
         cell.sides[self.side].last.note_rest();
+        cell.held_m = None;
         Ok(())
     }
 }

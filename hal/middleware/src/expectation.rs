@@ -12,6 +12,16 @@ const MEMORY_RAD: f64 = 1.0;
 /// Speed differences below this are ignored, rad/s: commands are rounded to 2e-4 rad/s, and drives drift and stick slightly.
 const DRIFT_RAD_PER_S: f64 = 0.002;
 
+/// While the arm is commanded to hold, the creep of a joint is forgotten with this time constant, seconds: a joint that settles after a
+/// stop, or moves with the temperature, must not accumulate over hours.
+const DRIFT_MEMORY_S: f64 = 60.0;
+
+/// A model that is slower than this is stationary, rad/s: below any command, which is rounded to 2e-4 rad/s.
+const STATIONARY_RAD_PER_S: f64 = 1e-4;
+
+/// The joints have settled after this time of a stationary model, seconds: ten time constants of slow drives.
+const SETTLES_S: f64 = 0.5;
+
 /// The model is advanced in steps of at most this, seconds.
 const STEP_S: f64 = 1e-3;
 
@@ -34,6 +44,10 @@ pub(crate) struct Expectation {
     commanded_rad_per_s: JointVector,
     velocity_rad_per_s: JointVector,
     error_rad: JointVector,
+    /// Time for which the model has been stationary, seconds.
+    stationary_s: f64,
+    /// Creep of the joints since they settled.
+    drift_rad: JointVector,
 }
 
 impl Expectation {
@@ -48,6 +62,8 @@ impl Expectation {
             commanded_rad_per_s: zeros,
             velocity_rad_per_s: zeros,
             error_rad: zeros,
+            stationary_s: 0.0,
+            drift_rad: zeros,
         }
     }
 
@@ -70,6 +86,28 @@ impl Expectation {
         let zeros = JointVector::zeros();
         self.pending.clear();
         (self.commanded_rad_per_s, self.velocity_rad_per_s, self.error_rad) = (zeros, zeros, zeros);
+        (self.stationary_s, self.drift_rad) = (0.0, zeros);
+    }
+
+    /// Creep of the joints while they are commanded to hold, rad, after a motion by `moved_rad` within `dt`; zero in motion. It is forgotten
+    /// slowly. Call it after [`Self::error_after`].
+    pub(crate) fn drift_after(&mut self, moved_rad: &JointVector, dt: Duration) -> JointVector {
+        let dt_s = dt.as_secs_f64();
+        let commands = self.pending.iter().map(|(_, command)| command).chain([&self.commanded_rad_per_s]);
+        let is_held = commands.map(JointVector::amax).all(|speed| speed == 0.0);
+        let is_stationary = is_held && self.velocity_rad_per_s.amax() <= STATIONARY_RAD_PER_S;
+        self.stationary_s = if is_stationary { self.stationary_s + dt_s } else { 0.0 };
+        self.drift_rad = if self.stationary_s > SETTLES_S {
+            self.drift_rad * (-dt_s / DRIFT_MEMORY_S).exp() + moved_rad
+        } else {
+            JointVector::zeros()
+        };
+        self.drift_rad
+    }
+
+    /// How long the joints have been commanded to hold.
+    pub(crate) fn held_for(&self) -> Duration {
+        Duration::from_secs_f64(self.stationary_s)
     }
 
     /// Difference between the joints and their model, rad, after a motion by `moved_rad` within `dt`.
@@ -198,17 +236,42 @@ mod tests {
         }
     }
 
+    /// In motion a drift is no error, because the controller that commands the motion corrects it.
     #[test]
-    fn a_drive_that_drifts_for_hours_is_none_that_runs_away() {
+    fn a_drive_that_drifts_for_hours_in_motion_is_none_that_runs_away() {
         for (drift_rad_per_s, is_error) in [(0.0019, false), (0.004, true)] {
             let mut expectation = expectation();
-            expectation.command(&JointVector::zeros());
+            expectation.command(&JointVector::repeat(1e-3));
             let mut error = JointVector::zeros();
             for _ in 0..360_000 {
-                error =
-                    expectation.error_after(&JointVector::repeat(drift_rad_per_s / 100.0), Duration::from_millis(10));
+                let moved_rad = JointVector::repeat((1e-3 + drift_rad_per_s) / 100.0);
+                error = expectation.error_after(&moved_rad, Duration::from_millis(10));
+                assert_eq!(expectation.drift_after(&moved_rad, Duration::from_millis(10)), JointVector::zeros());
             }
-            assert_eq!(error.amax() > 0.05, is_error, "{drift_rad_per_s} rad/s: {error}");
+            let moved_rad = (1e-3 + drift_rad_per_s) * 3600.0;
+            assert_eq!(error.amax() > 0.05, is_error && moved_rad > 0.0, "{drift_rad_per_s} rad/s: {error}");
+        }
+    }
+
+    /// By hand: a creep r is forgotten with 60 s, so it reaches 0.02 rad after -60 s ln(1 - 0.02 / (60 s r)) and half a second.
+    #[test]
+    fn a_drive_that_creeps_while_it_holds_is_found() {
+        for (creep_rad_per_s, expected_s) in
+            [(0.001, Some(24.8)), (0.0015, Some(15.6)), (0.002, Some(11.4)), (0.0003, None)]
+        {
+            let mut expectation = expectation();
+            expectation.command(&JointVector::zeros());
+            let (moved_rad, cycle) = (JointVector::repeat(creep_rad_per_s / 100.0), Duration::from_millis(10));
+            let found = (1..360_000).find(|_| {
+                expectation.error_after(&moved_rad, cycle);
+                expectation.drift_after(&moved_rad, cycle).amax() > 0.02
+            });
+            let found_s = found.map(|steps| f64::from(steps) / 100.0);
+            let is_expected = match (found_s, expected_s) {
+                (Some(found_s), Some(expected_s)) => (found_s - expected_s).abs() < 0.5,
+                (found_s, expected_s) => found_s.is_none() && expected_s.is_none(),
+            };
+            assert!(is_expected, "{creep_rad_per_s} rad/s: after {found_s:?} s instead of {expected_s:?}");
         }
     }
 }

@@ -2,7 +2,9 @@
 
 use std::time::Duration;
 
-use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand, JointState};
+use pb3dp_hal_api::{
+    Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand, JointState, RecentFailures,
+};
 use pb3dp_kinematics::{DOF, EffectiveLimits, JointLimits, JointLimitsError, JointVector};
 use pb3dp_safeguards::{Safeguard, is_off};
 
@@ -65,6 +67,16 @@ const JUMP_MARGIN_RAD: f64 = 0.002;
 const OLD_CYCLES: u32 = 5;
 /// This number of consecutive wrong samples is a fault and not a disturbance of the link.
 const JUMPS_TO_FAULT: u32 = 2;
+/// This number of wrong samples among the last 100 is a fault, although never two in a row. A checksum guards the link, so a wrong sample
+/// is rare: chosen so that a few single ones are forgiven. Half of it would stop an arm for two disturbances within a second; with twice
+/// as many, every second sample is wrong for 0.2 s at 100 Hz instead of 0.1 s.
+const JUMPS_TO_FAULT_OF_100: u32 = 5;
+/// Creep of a joint while the arm is commanded to hold, rad: with the time in which it is forgotten, 60 s, a creep of 0.001 rad/s is found
+/// after 26 s, one of 0.0015 rad/s after 17 s, and one below 0.0003 rad/s never. Half of it would stop an arm whose joints settle by half a
+/// degree after a stop; with twice as much, 0.001 rad/s takes 66 s.
+const DRIFT_MAX_RAD: f64 = 0.02;
+/// A joint that is pushed and springs back within this time has not crept; a faster motion is a tracking error before.
+const DRIFT_FOR: Duration = Duration::from_secs(1);
 /// Tolerance of a hard limit: rounding of the description and of the encoder, rad.
 pub(crate) const LIMIT_ROUNDING_RAD: f64 = 1e-4;
 /// Allowed oscillation of a joint on its way back from beyond a limit, rad.
@@ -89,7 +101,9 @@ pub struct Guard<A> {
     expectation: Expectation,
     too_fast: [u32; DOF],
     off_track_for: [Duration; DOF],
+    drifted_for: [Duration; DOF],
     jumps: u32,
+    recent_jumps: RecentFailures,
     /// The arm is being enabled: the first comparison may be with an old measurement.
     is_switching_on: bool,
     /// Cause of the stop.
@@ -116,7 +130,9 @@ impl<A: Arm> Guard<A> {
             expectation,
             too_fast: [0; DOF],
             off_track_for: [Duration::ZERO; DOF],
+            drifted_for: [Duration::ZERO; DOF],
             jumps: 0,
+            recent_jumps: RecentFailures::default(),
             is_switching_on: false,
             latched: None,
             on_stop: None,
@@ -157,6 +173,7 @@ impl<A: Arm> Guard<A> {
     /// Discards a sample that jumps: the arm holds, and the next sample is compared with the last good one.
     fn refuse_jump(&mut self, joint: usize, moved_rad: f64, dt: Duration) -> ArmError {
         self.jumps += 1;
+        let recent = self.recent_jumps.push(true);
         let moved_deg = moved_rad.to_degrees();
         let text = format!(
             "axis {} seems to have moved by {moved_deg:+.2} degrees within {dt:?}, an impossible speed",
@@ -164,6 +181,10 @@ impl<A: Arm> Guard<A> {
         );
         if self.jumps >= JUMPS_TO_FAULT {
             let reason = format!("{text}, {} times in a row: check its encoder and the link", self.jumps);
+            return self.stop_for((joint, reason));
+        }
+        if recent >= JUMPS_TO_FAULT_OF_100 {
+            let reason = format!("{text}, and {recent} of the last 100 samples jump: check its encoder and the link");
             return self.stop_for((joint, reason));
         }
         match self.arm.exchange(JointCommand::Hold) {
@@ -235,6 +256,23 @@ impl<A: Arm> Guard<A> {
         reason
     }
 
+    /// A joint that creeps although the arm is commanded to hold.
+    fn drifted(&mut self, moved_rad: &JointVector, dt: Duration) -> Option<(usize, String)> {
+        let drift_rad = self.expectation.drift_after(moved_rad, dt);
+        for joint in 0..DOF {
+            let is_still = drift_rad[joint].abs() <= DRIFT_MAX_RAD;
+            self.drifted_for[joint] = if is_still { Duration::ZERO } else { self.drifted_for[joint] + dt };
+        }
+        let joint = (0..DOF).find(|&joint| self.drifted_for[joint] >= DRIFT_FOR)?;
+        let (drift_deg, held) = (drift_rad[joint].to_degrees(), self.expectation.held_for());
+        let axis = joint + 1;
+        let text = format!(
+            "axis {axis} has crept by {drift_deg:+.2} degrees although the arm is commanded to hold, for {held:.0?}: its drive drifts, or the \
+             joint is pushed"
+        );
+        Some((joint, text))
+    }
+
     fn off_track(&mut self, moved_rad: &JointVector, dt: Duration) -> Option<(usize, String)> {
         let error_rad = self.expectation.error_after(moved_rad, dt);
         let mut reason = None;
@@ -274,6 +312,7 @@ impl<A: Arm> Guard<A> {
             if !dt.is_zero() {
                 let moved_rad = sample.position_rad - last.position_rad;
                 let (over_speed, off_track) = (self.over_speed(&sample), self.off_track(&moved_rad, dt));
+                let off_track = off_track.or(self.drifted(&moved_rad, dt));
                 let over_speed = over_speed.filter(|_| !is_off(Safeguard::GuardSpeed));
                 let off_track = off_track.filter(|_| !is_off(Safeguard::GuardTracking));
                 if let Some(reason) = over_speed.or(off_track) {
@@ -282,6 +321,7 @@ impl<A: Arm> Guard<A> {
             }
         }
         self.jumps = 0;
+        self.recent_jumps.push(false);
         self.newest = Some(sample);
         Ok(sample)
     }
@@ -293,7 +333,9 @@ impl<A: Arm> Guard<A> {
         self.expectation.forget();
         self.too_fast = [0; DOF];
         self.off_track_for = [Duration::ZERO; DOF];
+        self.drifted_for = [Duration::ZERO; DOF];
         self.jumps = 0;
+        self.recent_jumps.clear();
     }
 
     /// Prepares for enabling, unless the arm is stopped.

@@ -171,6 +171,38 @@ fn an_arm_that_stands_too_near_may_move_away() {
     assert!(bench.least_room_m() >= LEAST_M);
 }
 
+/// A joint of an arm that holds creeps towards the other arm: before, nobody looked.
+#[test]
+fn arms_that_come_closer_while_they_hold_are_stopped() {
+    let mut bench = Bench::new(1.2, [bowed(-0.3), bowed(-0.3)]);
+    // Slowly at the end, so that no more is left than is allowed.
+    for (speed, cycles) in [(0.2, 1500), (0.01, 1000), (0.001, 2000)] {
+        for _ in 0..cycles {
+            bench.cycle([velocity(1, speed), velocity(1, speed)]);
+        }
+    }
+    for _ in 0..100 {
+        assert_eq!(bench.cycle([JointCommand::Hold; 2]), [None, None]);
+    }
+    let plant = bench.mock(0).plant();
+    let now = bench.clock.now();
+    let mut modes = *plant.lock().unwrap().modes();
+    modes[1] = pb3dp_sim::joint_dynamics::AxisMode::Driven { velocity_rad_per_s: 0.0019 };
+    plant.lock().unwrap().set_modes(now, modes).unwrap();
+    let stopped = (0..6000).find_map(|_| bench.cycle([JointCommand::Hold; 2]).into_iter().flatten().next());
+    let (kind, text) = stopped.unwrap();
+    assert_eq!(kind, ArmErrorKind::Fault);
+    assert!(text.contains("apart although this arm holds"), "{text}");
+    assert_eq!([0, 1].map(|i| bench.arms[i].state()), [ArmState::Fault; 2]);
+    modes[1] = pb3dp_sim::joint_dynamics::AxisMode::Servo;
+    plant.lock().unwrap().set_modes(bench.clock.now(), modes).unwrap();
+    // The arm that noticed it comes first, as after every stop of both.
+    let resets = [0, 1, 0].map(|i| bench.arms[i].reset().is_ok());
+    assert!(resets.contains(&true));
+    assert_eq!([0, 1].map(|i| bench.arms[i].state()), [ArmState::Disabled; 2]);
+    assert!(bench.least_room_m() > 0.02);
+}
+
 #[test]
 fn what_stops_one_arm_stops_the_other_within_a_cycle_until_both_are_reset() {
     type Raise = fn(&MockArm);

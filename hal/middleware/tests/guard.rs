@@ -190,6 +190,54 @@ fn one_sample_that_jumps_is_thrown_away_and_two_stop_the_arm() {
     bench.assert_latched_until_reset();
 }
 
+/// Every second sample is wrong: never two in a row.
+#[test]
+fn samples_of_which_every_second_jumps_stop_the_arm() {
+    let mut bench = Bench::new(START, 0.6);
+    bench.step(JointCommand::Hold).unwrap();
+    let mut samples = 0;
+    bench.tamper(move |sample| {
+        samples += 1;
+        // The guard asks once more after a wrong sample, and discards that answer.
+        if samples % 3 == 1 {
+            sample.position_rad[3] += 0.2;
+        }
+    });
+    let begin = bench.clock.now();
+    let latched =
+        (0..100).find_map(|_| bench.step(JointCommand::Hold).err().filter(|e| e.kind() == ArmErrorKind::Fault));
+    let (text, after) = (latched.unwrap().to_string(), bench.clock.now().saturating_since(begin));
+    assert!(text.contains("5 of the last 100 samples jump"), "{text}");
+    assert!(after <= Duration::from_millis(100), "{after:?}");
+    bench.assert_latched_until_reset();
+}
+
+/// By hand: 0.0015 rad/s reach 0.02 rad after 15.1 s; more are the half second in which the joints settle, and the last second.
+#[test]
+fn a_joint_that_creeps_while_the_arm_holds_stops_the_arm() {
+    let mut bench = Bench::new(START, 0.6);
+    let mut crept = 0.0;
+    bench.tamper(move |sample| {
+        crept += 0.0015 * CYCLE.as_secs_f64();
+        sample.position_rad[1] += crept;
+    });
+    let (after, error) = bench.until_refused(JointCommand::Hold, Duration::from_secs(60)).unwrap();
+    assert_eq!((error.kind(), error.joint()), (ArmErrorKind::Fault, Some(1)));
+    assert!(error.to_string().contains("axis 2 has crept by +1.2"), "{error}");
+    assert!((16.0..17.5).contains(&after.as_secs_f64()), "{after:?}");
+}
+
+/// A joint that settles by half a degree after a stop is no creep, however often.
+#[test]
+fn joints_that_settle_after_each_stop_creep_not() {
+    let mut bench = Bench::new(START, 0.6);
+    for round in 0..30 {
+        let speed = if round % 2 == 0 { 0.2 } else { -0.2 };
+        assert!(bench.until_refused(velocity(2, speed), Duration::from_secs(1)).is_none());
+        assert!(bench.until_refused(JointCommand::Hold, Duration::from_secs(2)).is_none());
+    }
+}
+
 #[test]
 fn a_sample_that_is_no_number_is_no_sample() {
     let mut bench = Bench::new(START, 0.6);

@@ -285,6 +285,8 @@ impl Loop {
                 operator: heard,
                 controller: Mode::Approaching,
                 innovation: Innovation::Agrees,
+                target_covariance: None,
+                moves_with_hand: None,
                 estimate: newest.map(|(_, estimate)| estimate),
                 frame: newest.map(|(frame, _)| frame),
                 range_end: None,

@@ -33,6 +33,7 @@ codes! {
         Program = "PB3DP-ARM-123": "The thread that watches the arm failed. This is a defect of pb3dp."; "Report it with the log, and start the program again.";
         Internal = "PB3DP-ARM-124": "The driver met an event that its state machine does not expect. This is a defect of pb3dp."; "Report it with the log. Then reset.";
         GatewayLimit = "PB3DP-ARM-125": "A command was outside a motion limit of the gateway. The message names axis and quantity."; "Compare `[limits]` in the gateway's file with the arm's limits in the setup. Report a defect if they agree. Then reset.";
+        LinkPoor = "PB3DP-ARM-126": "Too many of the last 100 exchanges had no usable reply, or a damaged one."; "If the arm moves, press its emergency stop. Check cable and ground, the latency timer of the serial adapter and the load of the computer: `pb3dp doctor`. Then reset.";
     }
 }
 

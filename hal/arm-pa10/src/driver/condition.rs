@@ -3,10 +3,9 @@
 use std::time::Duration;
 
 use pb3dp_arm_pa10_protocol::codec::{
-    ArmReply, Axis, AxisStatus, CommAlarm, CommStatus, ServoAlarm, Signal, SignalSource, StatusSignals, StatusWord,
-    TorqueScale, WireFormat,
+    Axis, AxisStatus, CommAlarm, CommStatus, ServoAlarm, Signal, SignalSource, StatusSignals, StatusWord, WireFormat,
 };
-use pb3dp_arm_pa10_protocol::gateway_protocol::{GatewayState, MotionQuantity, RejectReason, State, StopCause};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{GatewayState, MotionQuantity, RejectReason, StopCause};
 use pb3dp_kinematics::JointVector;
 
 use super::WarmUpFailure;
@@ -79,6 +78,17 @@ pub enum FaultCause {
     LinkLost {
         /// Number of exchanges.
         misses: u32,
+    },
+    /// Too many of the last exchanges had no usable reply, or a damaged one.
+    #[error(
+        "{bad} of the last {exchanges} exchanges had no usable reply or a damaged one; the arm may still be moving: if it moves, press its \
+         emergency stop; check cable, ground and the load of the computer, then reset"
+    )]
+    LinkPoor {
+        /// Number of these exchanges.
+        bad: u32,
+        /// Number of exchanges.
+        exchanges: u32,
     },
     /// The gateway answers, but the newest measurement is too old.
     #[error(
@@ -341,42 +351,6 @@ fn release(code: u8) -> &'static str {
         Some(ServoAlarm::DeadManOff) => "hold the dead-man switch",
         Some(ServoAlarm::LimitSwitch) => "move the arm away from the limit switch",
         _ => "release the emergency stop",
-    }
-}
-
-impl Sample {
-    /// The measurement in a reply on the bus. `scale` converts its torques.
-    pub fn from_reply(reply: &ArmReply, scale: &TorqueScale) -> Self {
-        Self {
-            age: Duration::ZERO,
-            position_rad: reply.position_rad(),
-            velocity_rad_per_s: reply.velocity_rad_per_s(),
-            torque_n_m: reply.torque_n_m(scale),
-            condition: ArmCondition { axes: reply.axes.map(|axis| axis.status), comm: reply.comm, gateway: None },
-        }
-    }
-
-    /// The measurement in a state message of the gateway.
-    pub fn from_state(state: &State) -> Self {
-        Self {
-            age: Duration::from_micros(u64::from(state.sample_age_us)),
-            position_rad: state.position_rad(),
-            velocity_rad_per_s: state.velocity_rad_per_s(),
-            torque_n_m: state.torque_n_m(),
-            condition: ArmCondition {
-                axes: Axis::ALL.map(|axis| state.axis_status(axis)),
-                comm: state.comm_status(),
-                gateway: Some((state.gateway, state.cause)),
-            },
-        }
-    }
-}
-
-impl Sample {
-    /// The fault, if the measurement is older than [`MEASUREMENT_AGE_MAX`].
-    pub(super) fn too_old(&self) -> Option<FaultCause> {
-        let (age, allowed) = (self.age, MEASUREMENT_AGE_MAX);
-        (age > allowed).then_some(FaultCause::MeasurementTooOld { age, allowed })
     }
 }
 

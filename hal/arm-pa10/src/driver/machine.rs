@@ -261,6 +261,7 @@ impl Driver {
             return;
         }
         self.link.handle_answer(now.saturating_since(outstanding.sent));
+        self.check_recent(now);
         match reply {
             Reply::Rejected(reason) => self.handle_rejection(now, *reason, FaultCause::Rejected(*reason)),
             Reply::StillThere(found) => {

@@ -8,8 +8,8 @@
 //! Guarantees:
 //! * A request that the state does not allow is refused by name and sends nothing ([`table`] lists all requests).
 //! * Brakes open only after a warm-up that shows a reliable and fast link.
-//! * Two lost replies in a row are tolerated; the third stops the arm, as does a measurement older than [`MEASUREMENT_AGE_MAX`]. A
-//!   velocity without a successor fades and stops.
+//! * Two lost replies in a row are tolerated; the third stops the arm, as do 20 lost or damaged ones of the last 100, and a measurement
+//!   older than [`MEASUREMENT_AGE_MAX`]. A velocity without a successor fades and stops.
 //! * Every stop ramps to speed 0, stays there, closes the brakes, switches the servos off and ends the control mode, in limited
 //!   time with or without answers.
 //! * A fault or an emergency stop latches. Only a reset leaves the latch, only if the controller shows that the cause is gone, and
@@ -26,6 +26,7 @@ mod motion;
 mod phase;
 mod progress;
 mod requests;
+mod sample;
 pub mod table;
 mod torque;
 

@@ -5,6 +5,7 @@ use std::time::Duration;
 use pb3dp_arm_pa10_protocol::codec::{Axis, Letter};
 use pb3dp_arm_pa10_protocol::gateway_protocol::RejectReason;
 use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::RecentFailures;
 use pb3dp_kinematics::{JointState, JointVector};
 use pb3dp_safeguards::{Safeguard, is_off};
 
@@ -141,10 +142,20 @@ impl Driver {
         if let (Some(misses), false) = (too_many, self.is_stopping_latched() || is_off(Safeguard::DriverLink)) {
             self.trip(now, Trip::Fault(FaultCause::LinkLost { misses }));
         }
+        self.check_recent(now);
         if let Phase::Stopping(StopStep::End { tries }) = self.phase
             && tries >= END_TRIES_MAX
         {
             self.finish_stop(now, false);
+        }
+    }
+
+    /// Stops the arm if too many of the last exchanges failed, although never three in a row.
+    pub(super) fn check_recent(&mut self, now: MonotonicTime) {
+        let Some(bad) = self.link.too_many_bad() else { return };
+        if !self.is_stopping_latched() && !is_off(Safeguard::DriverLink) {
+            self.trip(now, Trip::Fault(FaultCause::LinkPoor { bad, exchanges: RecentFailures::WINDOW }));
+            self.link.forget_misses();
         }
     }
 
