@@ -174,7 +174,7 @@ fn after_every_fault_the_arm_is_at_rest_in_time_and_stays_there() {
     assert!(all >= 2000, "{all}");
 }
 
-/// Tolerated: at most two lost replies in a row, late replies within the cycle, and switches that are only shown.
+/// Tolerated: at most two lost replies in a row, late replies within the cycle, a few replies in the wrong order, and switches that are only shown.
 #[test]
 fn what_is_tolerated_leads_to_no_fault() {
     for line in [
@@ -183,7 +183,7 @@ fn what_is_tolerated_leads_to_no_fault() {
         "delay 1000 1500us",
         "slow 1500us",
         "duplicate 1000",
-        "reorder 1000",
+        "reorder 8",
         "truncate 2",
         "wrong-sequence 2",
         "wrong-letter 2",

@@ -248,8 +248,7 @@ mod tests {
                 error = expectation.error_after(&moved_rad, Duration::from_millis(10));
                 assert_eq!(expectation.drift_after(&moved_rad, Duration::from_millis(10)), JointVector::zeros());
             }
-            let moved_rad = (1e-3 + drift_rad_per_s) * 3600.0;
-            assert_eq!(error.amax() > 0.05, is_error && moved_rad > 0.0, "{drift_rad_per_s} rad/s: {error}");
+            assert_eq!(error.amax() > 0.05, is_error, "{drift_rad_per_s} rad/s: {error}");
         }
     }
 
