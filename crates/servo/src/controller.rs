@@ -3,10 +3,8 @@
 mod driving;
 
 use std::fmt;
-use std::time::Duration;
 
 use driving::Pace;
-use nalgebra::{Matrix6, Vector3};
 use pb3dp_geometry::frames::{Base, Hand, Model};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_kinematics::{Chain, Damping, EffectiveLimits, JointState, JointVector};
@@ -17,7 +15,6 @@ use crate::config_error::ConfigError;
 use crate::given_commands::GivenCommands;
 use crate::joint_history::JointHistory;
 use crate::known_target::KnownTarget;
-use crate::late_images::{DELAYS_S, LateImages, MovesWithHand};
 use crate::law::pose_based::HandError;
 use crate::resolved_rate::{HandJacobian, Limitation};
 use crate::search::Search;
@@ -126,10 +123,6 @@ pub struct ControlStep {
     pub base_from_hand: Option<Pose<Base, Hand>>,
     /// Pose of the target at the time of the joint sample, smoothed or predicted.
     pub base_from_model: Option<Pose<Base, Model>>,
-    /// Covariance of the predicted target pose at the time of the step: metres and radians, translation first, axes of the model.
-    pub target_covariance: Option<Matrix6<f64>>,
-    /// The target seems to move with the hand: images are older than their time stamps.
-    pub moves_with_hand: Option<MovesWithHand>,
     /// Desired pose of the hand.
     pub base_from_hand_desired: Option<Pose<Base, Hand>>,
     /// Time since the exposure of the last accepted observation, seconds.
@@ -156,7 +149,6 @@ pub struct Controller {
     history: JointHistory,
     given: GivenCommands,
     target: KnownTarget,
-    late_images: LateImages,
     /// Exposure time of the newest handled observation; observations that are not newer are ignored.
     handled_at: Option<MonotonicTime>,
     stepped_at: Option<MonotonicTime>,
@@ -192,7 +184,6 @@ impl Controller {
             history,
             given: GivenCommands::new(config.joint_history_samples),
             target: KnownTarget::none(&config.law)?,
-            late_images: LateImages::default(),
             handled_at: None,
             stepped_at: None,
             period_s: 0.0,
@@ -225,13 +216,13 @@ impl Controller {
         self.search.permit(is_permitted);
     }
 
-    /// Stores the command that the arm actually received. After a hold the hand starts softly again: from rest, or after a short one
-    /// that keeps the target from the measured speed. The joint motion is predicted from the actual commands.
+    /// Stores the command that the arm actually received. After a hold the hand starts softly again, and the joint motion is
+    /// predicted from the actual commands.
     pub fn note_told(&mut self, told: Command) {
         let velocity_rad_per_s = match told {
             Command::Velocity(velocity) => velocity,
             Command::Hold => {
-                self.pace.hold(self.stepped_at);
+                self.pace = Pace::rest();
                 JointVector::zeros()
             }
         };
@@ -340,26 +331,8 @@ impl Controller {
         }
     }
 
-    /// Places an observation with the joints of earlier times, too: a target that moves with the hand shows that images are late.
-    fn compare_delays(&mut self, observation: &TargetObservation) {
-        let hand_from_model = self.config.hand_from_cam_left * observation.cam_left_from_model;
-        let mut places_m = [Vector3::zeros(); DELAYS_S.len()];
-        let mut are_known = true;
-        for (place_m, delay_s) in places_m.iter_mut().zip(DELAYS_S) {
-            let position_rad = self.history.position_at(observation.at - Duration::from_secs_f64(delay_s));
-            let Ok(position_rad) = position_rad else {
-                are_known = false;
-                break;
-            };
-            let base_from_hand = self.chain.forward(&position_rad) * self.config.flange_from_hand;
-            *place_m = (base_from_hand * hand_from_model).translation_m();
-        }
-        self.late_images.take(observation.at, are_known.then_some(places_m));
-    }
-
     /// Transforms an observation to `base` with the joints at its time.
     fn place_target(&mut self, observation: &TargetObservation, position_rad: &JointVector) -> ObservationVerdict {
-        self.compare_delays(observation);
         let base_from_hand = self.chain.forward(position_rad) * self.config.flange_from_hand;
         let observed = base_from_hand * self.config.hand_from_cam_left * observation.cam_left_from_model;
         let verdict = self.target.take(&observed, observation);
@@ -404,7 +377,6 @@ impl Controller {
 
     fn forget(&mut self) {
         self.target.forget();
-        self.late_images.clear();
         self.approached_at = None;
         self.pace = Pace::rest();
     }
@@ -416,8 +388,6 @@ impl Controller {
             observation: ObservationVerdict::NoneNew,
             base_from_hand: None,
             base_from_model,
-            target_covariance: self.target.at(now).map(|target| target.covariance),
-            moves_with_hand: self.late_images.found(),
             base_from_hand_desired: None,
             observation_age_s: self.target.observed_at().map(|at| now.seconds_since(at)),
             position_error_m: None,

@@ -18,7 +18,6 @@ pub mod given_commands;
 pub mod identification;
 pub mod joint_history;
 mod known_target;
-mod late_images;
 pub mod law;
 pub mod redundancy;
 pub mod resolved_rate;
@@ -35,7 +34,6 @@ pub use config::{
 };
 pub use controller::{Command, ControlStep, Controller, HoldReason, Mode};
 pub use joint_history::{JointHistory, NotInHistory};
-pub use late_images::MovesWithHand;
 pub use resolved_rate::Limitation;
 pub use search::SearchConfig;
 pub use target_filter::{ObservationVerdict, TargetObservation};

@@ -5,15 +5,13 @@
 //! [`table`](mod@table) and timers. Only the operator's reset leaves a latched state, and it leads to [`State::Idle`].
 //!
 //! Motion always starts from new measurements: at each hold, stop, fault, reset and selection, [`Decision::rearm`] makes the
-//! controller drop its set-points, and motion is inhibited until new ones exist. Only a hold for a part that stood still for a moment
-//! keeps the target, while its predicted pose is certain enough.
+//! controller drop its set-points, and motion is inhibited until new ones exist.
 
 mod codes;
 mod findings;
 mod inputs;
 mod log;
 mod policy;
-mod stall;
 pub mod table;
 mod words;
 
@@ -33,7 +31,6 @@ pub use self::table::{Event, Order, Outcome, State};
 pub use self::words::{Refusal, RefusedFor, Then, Why};
 
 use self::findings::Findings;
-use self::stall::{Stalls, is_only_stalled};
 use self::table::outcome;
 use crate::controller::Mode;
 
@@ -102,7 +99,6 @@ pub struct Supervisor {
     needs_word_for_more: bool,
     /// State of the search for the target since the last motion.
     search: SearchRight,
-    stalls: Stalls,
     log: TransitionLog,
 }
 
@@ -126,7 +122,6 @@ impl Supervisor {
             needs_word: false,
             needs_word_for_more: false,
             search: SearchRight::Unused,
-            stalls: Stalls::default(),
             log: TransitionLog::new(),
         })
     }
@@ -236,7 +231,6 @@ impl Supervisor {
             said(OperatorCommand::Hold),
             said(OperatorCommand::HoldHand),
             of_alarm(Event::LossFound),
-            self.stall(inputs, alarm, now),
             of_alarm(Event::HoldFound),
             said(OperatorCommand::Select),
             said(OperatorCommand::Start),
@@ -264,29 +258,6 @@ impl Supervisor {
         self.clear_since.is_some() && (self.clear_for_s() >= self.config.go_after_s || is_off(Safeguard::ClearForWords))
     }
 
-    /// Begin and end of a hold for a part that stands still for a moment.
-    fn stall(
-        &self,
-        inputs: &Inputs,
-        alarm: Option<(Event, Cause)>,
-        now: MonotonicTime,
-    ) -> Option<(Event, Option<Cause>)> {
-        let is_stalled = !self.held_by_operator
-            && !self.needs_word
-            && is_only_stalled(&self.findings, &self.config.policies, inputs);
-        if self.stalls.since.is_none() {
-            let (event, cause) = alarm?;
-            let begins =
-                event == Event::HoldFound && self.state.is_moving() && is_stalled && self.stalls.may_begin(now);
-            return begins.then_some((Event::StallFound, Some(cause)));
-        }
-        if !is_stalled || !self.stalls.is_short(now) {
-            return Some((Event::StallFailed, self.cause));
-        }
-        // Every part has worked since the step before.
-        self.clear_since.is_some().then_some((Event::StallOver, None))
-    }
-
     /// Automatic transitions.
     fn by_itself(&self, inputs: &Inputs) -> Option<Event> {
         let may_resume = !self.held_by_operator && !self.needs_word && self.clear_for_s() >= self.config.resume_after_s;
@@ -310,14 +281,12 @@ impl Supervisor {
         if matches!(event, Event::Start | Event::Resume) {
             self.holds_every_arm = false;
         }
-        self.stalls.end(at);
         match event {
             Event::Select => {
                 self.findings.begin(at);
                 self.spoke = None;
             }
             Event::Start => self.findings.start(),
-            Event::StallFound => self.stalls.since = Some(at),
             _ => {}
         }
         self.state = to;
@@ -455,22 +424,18 @@ impl Supervisor {
         Permission::Move { share: self.slowed(now).map_or(1.0, |(_, share)| share) }
     }
 
-    /// The action that slows the arm most. An oscillation slows it even before it has lasted long enough for its action.
+    /// The action that slows the arm most.
     fn slowed(&self, now: MonotonicTime) -> Option<(Cause, f64)> {
-        let holds = self.config.policies.get(Condition::Oscillation).action >= Action::Hold;
-        let oscillation = self.findings.cause(Condition::Oscillation).filter(|_| holds);
-        let oscillation = oscillation.map(|cause| (cause, OSCILLATION_SHARE));
         let shares = self.findings.lasting(&self.config.policies, now).filter_map(|(cause, action)| match action {
             Action::Slow(share) => Some((cause, share)),
             _ => None,
         });
-        shares.chain(oscillation).reduce(|least, other| if other.1 < least.1 { other } else { least })
+        shares.reduce(|least, other| if other.1 < least.1 { other } else { least })
     }
 
     fn why(&self, blocking: Option<Cause>, now: MonotonicTime) -> Why {
         let state = self.state;
-        let after_s = if self.stalls.since.is_some() { 0.0 } else { self.config.resume_after_s };
-        let then = if self.needs_word { Then::Resume } else { Then::ByItself { after_s } };
+        let then = if self.needs_word { Then::Resume } else { Then::ByItself { after_s: self.config.resume_after_s } };
         let wants_word = state == State::Selecting || self.held_by_operator || self.needs_word;
         match (state, blocking) {
             (State::Idle, _) => Why::Idle,
@@ -498,10 +463,6 @@ impl Supervisor {
         }
     }
 }
-
-/// Share of the velocity while the target seems to move with the hand. Chosen: with 0.6 the loop of images that are 0.2 s late still grows,
-/// and with 0.15 a sinusoid of 2 s that is taken for one for a moment would lag visibly.
-const OSCILLATION_SHARE: f64 = 0.3;
 
 /// Search state: at most one search per loss.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

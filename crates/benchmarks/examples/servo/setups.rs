@@ -150,10 +150,6 @@ pub fn geometric(mut setup: Setup, motion: MotionConfig) -> Result<Setup> {
     let config = setup.geometric.context("the table `estimator.geometric` is missing")?;
     setup.leader = Leader::Geometric(config);
     setup.experiment.carrier = Carrier::Nothing;
-    if matches!(&motion, MotionConfig::Sine(_)) {
-        // The quickest sinusoids cannot be told from a target that moves with the hand.
-        setup.supervisor.policies.get_mut(Condition::Oscillation).action = Action::Note;
-    }
     if matches!(&motion, MotionConfig::Steps(steps) if steps.move_s == 0.0) {
         // The response to a jump of the target is measured, so the supervisor must not hold the hand because of it.
         for jump in [Condition::Outlier, Condition::PositionJump, Condition::OrientationJump] {

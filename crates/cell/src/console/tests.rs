@@ -79,8 +79,6 @@ pub fn decision() -> Decision {
         operator: OperatorInput::default(),
         controller: Mode::Idle,
         innovation: Innovation::NoneNew,
-        target_covariance: None,
-        moves_with_hand: None,
         estimate: None,
         frame: None,
         range_end: None,

@@ -285,8 +285,6 @@ impl Loop {
                 operator: heard,
                 controller: Mode::Approaching,
                 innovation: Innovation::Agrees,
-                target_covariance: None,
-                moves_with_hand: None,
                 estimate: newest.map(|(_, estimate)| estimate),
                 frame: newest.map(|(frame, _)| frame),
                 range_end: None,

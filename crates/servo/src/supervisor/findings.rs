@@ -48,8 +48,6 @@ pub enum Detail {
     },
     /// The estimate has no pose.
     NoPose,
-    /// Delay of the images behind their time stamps, seconds.
-    Delay(f64),
 }
 
 /// Evaluates the inputs, and keeps the data for later steps.
@@ -154,8 +152,7 @@ impl Findings {
                 | Condition::OperatorSilent
                 | Condition::LimitNear
                 | Condition::Singularity
-                | Condition::ControllerRests
-                | Condition::Oscillation => of_the_moment(condition, threshold, inputs, now),
+                | Condition::ControllerRests => of_the_moment(condition, threshold, inputs, now),
                 _ => self.of_the_target(condition, threshold, now),
             };
             let found = found.filter(|_| !safeguard(condition).is_some_and(is_off));
@@ -280,11 +277,6 @@ impl Findings {
         self.followed_since
     }
 
-    /// Standard deviations of position and orientation, as the policies compare them.
-    pub(super) fn sigmas(&self, covariance: &Matrix6<f64>) -> [f64; 2] {
-        [0, 3].map(|first| root_of_trace(covariance, first))
-    }
-
     /// The current measurement of this condition.
     pub(super) fn cause(&self, condition: Condition) -> Option<Cause> {
         self.found[condition as usize]
@@ -312,9 +304,7 @@ const fn safeguard(condition: Condition) -> Option<Safeguard> {
         Condition::OrientationUncertain => Safeguard::OrientationUncertain,
         Condition::CameraSkew => Safeguard::CameraSkew,
         Condition::ControllerRests => Safeguard::ControllerRests,
-        Condition::LowConfidence | Condition::LimitNear | Condition::Singularity | Condition::Oscillation => {
-            return None;
-        }
+        Condition::LowConfidence | Condition::LimitNear | Condition::Singularity => return None,
     })
 }
 
@@ -349,10 +339,6 @@ fn of_the_moment(condition: Condition, threshold: f64, inputs: &Inputs, now: Mon
         }
         Condition::ControllerRests => (!matches!(inputs.controller, Mode::Approaching | Mode::Tracking))
             .then_some((0.0, Detail::Controller(inputs.controller))),
-        Condition::Oscillation => {
-            let found = inputs.moves_with_hand?;
-            above(found.deviation_m, threshold).map(|(value, _)| (value, Detail::Delay(found.delay_s)))
-        }
         _ => None,
     }
 }

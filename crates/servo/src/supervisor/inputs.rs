@@ -6,7 +6,6 @@ use nalgebra::Matrix6;
 use pb3dp_geometry::MonotonicTime;
 
 use crate::controller::Mode;
-use crate::late_images::MovesWithHand;
 
 /// Inputs of one control step. A "newest" value may be the same as in the previous step.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,11 +16,6 @@ pub struct Inputs {
     pub controller: Mode,
     /// What the controller did with an observation in this step.
     pub innovation: Innovation,
-    /// Covariance of the predicted target pose at the time of the step, metres and radians, translation first; `None` without a
-    /// prediction.
-    pub target_covariance: Option<Matrix6<f64>>,
-    /// The target seems to move with the hand, as the controller finds.
-    pub moves_with_hand: Option<MovesWithHand>,
     /// The newest estimate; `None` before the first one.
     pub estimate: Option<EstimateInput>,
     /// The newest frame pair; `None` before the first one.

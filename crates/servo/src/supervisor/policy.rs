@@ -51,8 +51,6 @@ pub enum Condition {
     Singularity,
     /// The controller commands no velocity.
     ControllerRests,
-    /// The target seems to move with the hand: the loop oscillates.
-    Oscillation,
 }
 
 /// A set of conditions.
@@ -161,7 +159,7 @@ pub struct SupervisorError {
 
 impl Condition {
     /// Number of conditions.
-    pub const COUNT: usize = 22;
+    pub const COUNT: usize = 21;
 
     /// All conditions.
     pub const ALL: [Self; Self::COUNT] = [
@@ -186,7 +184,6 @@ impl Condition {
         Self::LimitNear,
         Self::Singularity,
         Self::ControllerRests,
-        Self::Oscillation,
     ];
 
     /// The name in configurations, logs and reports.
@@ -229,7 +226,6 @@ impl Condition {
             Self::LimitNear => rule("limit_near", Some(("distance_rad", 0.001, 0.5)), 1.0, Note, true),
             Self::Singularity => rule("singularity", Some(("singular_value", 0.001, 0.2)), 1.0, Note, true),
             Self::ControllerRests => rule("controller_rests", None, 0.0, Hold, true),
-            Self::Oscillation => rule("oscillation", Some(("distance_m", 0.0005, 0.01)), 0.5, Note, true),
         }
     }
 }

@@ -181,7 +181,7 @@ impl Why {
                 write!(f, "{state}: {cause}; {}, then use resume", remedy(cause))
             }
             Self::Resting { state, cause, then: Then::ByItself { after_s } } => {
-                write!(f, "{state}: {cause}; {}; resumes by itself {}", remedy(cause), After(*after_s))
+                write!(f, "{state}: {cause}; {}; resumes by itself {after_s} s after the cause is gone", remedy(cause))
             }
             Self::CauseGone { state, cause, then: Then::Resume } => {
                 write!(f, "{state}: {}; use resume", Gone(&Some(*cause)))
@@ -267,18 +267,6 @@ fn instead(state: State) -> &'static str {
         State::Approaching | State::Tracking => ", the hand already follows the target; use hold or stop",
         State::Holding | State::Lost => "; use resume",
         State::Stopped | State::Fault => "; use reset first",
-    }
-}
-
-/// When the arm resumes, seconds after the cause is gone.
-struct After(f64);
-
-impl fmt::Display for After {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.0 {
-            0.0 => f.write_str("as soon as the cause is gone"),
-            after_s => write!(f, "{after_s} s after the cause is gone"),
-        }
     }
 }
 
@@ -381,15 +369,6 @@ impl fmt::Display for Cause {
                 Detail::Controller(mode) => write!(f, "the controller outputs no velocity ({mode})"),
                 _ => write!(f, "the controller outputs no velocity"),
             },
-            Condition::Oscillation => {
-                write!(f, "the target seems to move with the hand, by {}", Millimetres(value, threshold))?;
-                match detail {
-                    Detail::Delay(delay_s) => {
-                        write!(f, ": the images are {:.0} ms older than their time stamps", delay_s * 1e3)
-                    }
-                    _ => Ok(()),
-                }
-            }
         }
     }
 }
@@ -466,6 +445,5 @@ fn remedy(cause: &Cause) -> &'static str {
         Condition::LimitNear => "move the target towards the middle of the arm's range",
         Condition::Singularity => "move the target to where the arm is not stretched",
         Condition::ControllerRests => "wait, or remove the cause",
-        Condition::Oscillation => "find what delays the images, and measure the delays again",
     }
 }

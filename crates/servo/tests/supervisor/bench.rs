@@ -49,7 +49,6 @@ fn policy(condition: Condition) -> Policy {
         Condition::LimitNear => (0.05, 0.0, Slow(0.3), ByItself),
         Condition::Singularity => (0.03, 0.0, Note, ByItself),
         Condition::ControllerRests => (0.0, 0.0, Hold, ByItself),
-        Condition::Oscillation => (0.001, 0.1, Hold, ByOperator),
     };
     Policy { threshold, for_s, action, resume }
 }
@@ -73,8 +72,6 @@ pub fn good(now_s: f64) -> Inputs {
         operator: OperatorInput { heard_at: Some(at(now_s)), ..OperatorInput::default() },
         controller: Mode::Tracking,
         innovation: Innovation::Agrees,
-        target_covariance: None,
-        moves_with_hand: None,
         estimate: Some(EstimateInput {
             at: exposed_at,
             confidence: Confidence::Sure,

@@ -8,7 +8,6 @@ mod policies;
 mod properties;
 mod searching;
 mod settling;
-mod stalls;
 mod starting;
 mod table;
 mod words;

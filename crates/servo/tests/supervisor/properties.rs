@@ -148,8 +148,6 @@ impl Told {
             },
             controller: step.mode,
             innovation: step.innovation,
-            target_covariance: Some(Matrix6::from_diagonal_element(step.variance)),
-            moves_with_hand: None,
             estimate: self.estimate,
             frame: self.frame,
             range_end: Some(RangeEnd { joint: 2, distance_rad: step.distance_rad }),

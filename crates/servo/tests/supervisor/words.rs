@@ -37,7 +37,6 @@ fn causes() -> Vec<(Cause, Vec<String>)> {
                 (0.02, 0.05, vec![Detail::Joint(0), Detail::Joint(6)], ["1.15 degrees", "2.86 degrees"])
             }
             Condition::Singularity => (0.0123, 0.03, none, ["0.0123", "0.0300"]),
-            Condition::Oscillation => (0.0023, 0.001, vec![Detail::None, Detail::Delay(0.2)], ["2.30 mm", "1.00 mm"]),
             Condition::ControllerRests => {
                 let stale = Mode::Holding(HoldReason::ObservationStale { age_s: 0.321 });
                 (0.0, 0.0, vec![Detail::Controller(stale), Detail::Controller(Mode::Locking)], ["controller", ""])

@@ -46,7 +46,6 @@ struct PoliciesSection {
     limit_near: PolicySection,
     singularity: PolicySection,
     controller_rests: PolicySection,
-    oscillation: PolicySection,
 }
 
 /// One policy; [`Threshold::of`] names the threshold of each condition.
@@ -107,7 +106,7 @@ impl Threshold {
             | Condition::EstimateStale
             | Condition::TargetLost => ("age_s", same, same),
             Condition::ClockStepped => ("step_s", same, same),
-            Condition::PositionJump | Condition::Oscillation => ("distance_mm", in_mm, from_millis),
+            Condition::PositionJump => ("distance_mm", in_mm, from_millis),
             Condition::OrientationJump => ("angle_deg", in_deg, f64::to_radians),
             Condition::Outlier => ("sigmas", same, same),
             Condition::PositionUncertain => ("sigma_mm", in_mm, from_millis),
@@ -239,7 +238,6 @@ impl PoliciesSection {
             Condition::LimitNear => &self.limit_near,
             Condition::Singularity => &self.singularity,
             Condition::ControllerRests => &self.controller_rests,
-            Condition::Oscillation => &self.oscillation,
         }
     }
 }
