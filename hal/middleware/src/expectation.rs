@@ -236,7 +236,7 @@ mod tests {
         }
     }
 
-    /// In motion a drift is no error, because whoever commands the motion corrects it.
+    /// In motion a drift is no error, because the controller that commands the motion corrects it.
     #[test]
     fn a_drive_that_drifts_for_hours_in_motion_is_none_that_runs_away() {
         for (drift_rad_per_s, is_error) in [(0.0019, false), (0.004, true)] {
