@@ -1,7 +1,6 @@
 //! Code shared by the whole-system tests, which are in `tests/`, with real images in `data/`.
 
 pub mod between;
-pub mod disturbed;
 pub mod safety;
 pub mod watched;
 

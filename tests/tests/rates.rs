@@ -1,25 +1,155 @@
 //! Failures that are never consecutive, and slow drift: each stops the arms. The whole program in virtual time, with arms that are
 //! emulated byte by byte.
 
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
+use pb3dp_cell::cell::{FreeTarget, SimulatedCell};
+use pb3dp_cell::halves::{Course, Mover, Watcher};
+use pb3dp_cell::looking::Looking;
+use pb3dp_cell::moving::{Moved, Moving};
+use pb3dp_cell::percept::Percept;
+use pb3dp_cell::strip::Strip;
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_setup::setup::{Carrier, Leader, Pace, Setup, read_setup};
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig};
-use system_tests::disturbed::{Disturbance, Ran, run, setup};
+use pb3dp_wiring::{Wired, wire_cell};
+use system_tests::repository;
 
 /// Both arms are enabled and the hand follows by then, seconds.
 const FROM_S: f64 = 4.0;
 /// More than any time between two faults, seconds.
 const NEVER_AGAIN_S: f64 = 1e3;
 
-fn ran(arm: usize, lines: &'static [&'static str], every_s: f64, for_s: f64) -> Ran {
-    let motion = SineConfig {
+/// Faults of an emulated arm, as lines of docs/mock-arm.md, in turn.
+struct Faults {
+    /// 0: the arm that carries the cameras.
+    arm: usize,
+    lines: &'static [&'static str],
+    every_s: f64,
+}
+
+/// The end of a run: why it ended early, and when, seconds.
+struct Ran {
+    ended: Option<String>,
+    ended_s: f64,
+}
+
+/// The setup `hil` in simulated time and without images, with a target that no arm carries.
+fn setup() -> Setup {
+    let mut setup = read_setup(&repository().join("configs/hil.toml")).unwrap();
+    setup.pace = Pace::Fast;
+    setup.compared.clear();
+    setup.leader = Leader::Geometric(setup.geometric.unwrap());
+    setup.experiment.carrier = Carrier::Nothing;
+    setup.experiment.motion = MotionConfig::Sine(SineConfig {
         channel: Channel::Y,
         amplitude: 0.05,
         period_s: 6.0,
         periods: 100,
         lead_in_s: 0.0,
         axes: ExperimentAxes::TargetAtStart,
+    });
+    setup
+}
+
+fn ran(arm: usize, lines: &'static [&'static str], every_s: f64, for_s: f64) -> Ran {
+    let setup = setup();
+    let Wired { parts, virtual_ends, .. } = wire_cell(&setup, |cell, start| {
+        let motion = setup.experiment.motion.begin_at(start)?;
+        cell.free_target = Some(FreeTarget::new(Arc::clone(&motion)));
+        Ok(motion)
+    })
+    .unwrap();
+    let (clock, cell) = (Arc::clone(&parts.clock), parts.cell.clone());
+    let sees = (parts.camera, parts.cell, parts.marking);
+    let looking = Looking::new(&setup, sees, (Strip::default(), &parts.clock), None).unwrap();
+    let moving = Moving::new(&setup, (parts.vs, parts.tc), &*parts.experiment, clock.now()).unwrap();
+    let mut watching = Watching { looking, cell };
+    let mut faulty = Faulty {
+        inner: moving,
+        faults: Faults { arm, lines, every_s },
+        ends: virtual_ends.into_iter().map(|(_, end)| end).collect(),
+        given: 0,
+        begin: clock.now(),
+        ended_s: 0.0,
     };
-    let setup = setup(MotionConfig::Sine(motion)).unwrap();
-    run(&setup, Disturbance::Faults { arm, lines, from_s: FROM_S, every_s }, FROM_S + for_s).unwrap()
+    let interrupt = AtomicBool::new(false);
+    let duration = Duration::from_secs_f64(FROM_S + for_s);
+    let course = Course { setup: &setup, clock: &clock, duration, interrupt: &interrupt };
+    let ended = course.run_in_lockstep(&mut watching, &mut faulty).err().map(|error| format!("{error:#}"));
+    Ran { ended, ended_s: faulty.ended_s }
+}
+
+/// The vision half, with the target that moves by itself.
+struct Watching<'a> {
+    looking: Looking<'a>,
+    cell: SimulatedCell,
+}
+
+impl Watcher for Watching<'_> {
+    type Step = Moved;
+
+    fn begin_at(&mut self, begin: MonotonicTime) {
+        self.cell.begin_at(begin);
+        self.looking.begin_at(begin);
+    }
+
+    fn moved(&mut self, step: &Moved) {
+        self.looking.push_joints(step.vs_joints);
+    }
+
+    fn look(&mut self) -> anyhow::Result<Option<Percept>> {
+        Ok(self.looking.look()?.map(|seen| seen.percept()))
+    }
+
+    fn note(&mut self) -> anyhow::Result<()> {
+        Ok(())
+    }
+}
+
+/// The motion half, with the faults from [`FROM_S`] on.
+struct Faulty<'a> {
+    inner: Moving<'a>,
+    faults: Faults,
+    ends: Vec<VirtualEnd>,
+    /// Number of faults that were given.
+    given: u32,
+    begin: MonotonicTime,
+    ended_s: f64,
+}
+
+impl Mover for Faulty<'_> {
+    type Step = Moved;
+
+    fn enable(&mut self) -> anyhow::Result<bool> {
+        self.inner.enable()
+    }
+
+    fn begin_at(&mut self, begin: MonotonicTime) {
+        self.begin = begin;
+        self.inner.begin_at(begin);
+    }
+
+    fn observe(&mut self, percept: Percept, now: MonotonicTime) {
+        self.inner.observe(percept, now);
+    }
+
+    fn step(&mut self, now: MonotonicTime) -> anyhow::Result<Moved> {
+        self.ended_s = now.seconds_since(self.begin);
+        let Faults { arm, lines, every_s } = self.faults;
+        while self.ended_s >= FROM_S + f64::from(self.given) * every_s {
+            self.ends[arm].command_line(lines[self.given as usize % lines.len()])?;
+            self.given += 1;
+        }
+        self.inner.step(now)
+    }
+
+    fn stop(&mut self) -> anyhow::Result<()> {
+        self.inner.stop()
+    }
 }
 
 /// The run ended with this text, and within this time after the first fault.

@@ -165,6 +165,7 @@ impl Aligner {
         };
         let levels = *levels.start()..=first;
         for level in levels.clone().rev() {
+            // A small target has too few points on coarse levels.
             if (problem.surface.levels[level].points() as f32) < POINTS_MIN && level > *levels.start() {
                 continue;
             }

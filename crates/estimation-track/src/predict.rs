@@ -41,6 +41,7 @@ impl Motion {
         self.velocity.is_some()
     }
 
+    /// The pose at the next exposure. A pose that the caller expects is taken as it is.
     pub(super) fn expect(&self, prior: &FramePrior) -> Expected {
         if let Some(pose) = prior.cam_left_from_model.filter(Pose::is_finite) {
             return Expected { pose, coasted: pose };

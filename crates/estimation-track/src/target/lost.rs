@@ -71,12 +71,7 @@ impl Target {
             self.estimate = before;
             match self.look_into(candidate, frame, may_continue) {
                 Ok(equations) if self.sighting(predicted).can_be_the_target() => {
-                    let is_near = self.sighting(predicted).is_near();
-                    let equations = self.settle(equations, predicted, lost_frames, frame, may_continue);
-                    self.conclude(&equations, false);
-                    if is_near {
-                        self.keep_unseen(expected);
-                    }
+                    self.take_found(equations, expected, lost_frames, frame, may_continue);
                     return Ending::Found;
                 }
                 Ok(_) => {
@@ -93,13 +88,30 @@ impl Target {
         if let Some(own) = nearest_of_several(&alike) {
             (self.view, self.estimate, self.fit) = (own.view, own.estimate, own.fit);
             if let Some(equations) = self.examine(frame, false) {
-                let equations = self.settle(equations, predicted, lost_frames, frame, may_continue);
-                self.conclude(&equations, false);
+                self.take_found(equations, expected, lost_frames, frame, may_continue);
                 return Ending::Found;
             }
         }
         self.estimate = before;
         ending
+    }
+
+    /// Completes the frame in which the target is found at the estimate. Near its expected pose, directions that the images do not show
+    /// stay as expected.
+    fn take_found(
+        &mut self,
+        equations: NormalEquations,
+        expected: &Expected,
+        lost_frames: f64,
+        frame: &Frame<'_>,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) {
+        let is_near = self.sighting(&expected.pose).is_near();
+        let equations = self.settle(equations, &expected.pose, lost_frames, frame, may_continue);
+        self.conclude(&equations, false);
+        if is_near {
+            self.keep_unseen(expected);
+        }
     }
 
     /// Aligns at a candidate position, and evaluates the fit.
