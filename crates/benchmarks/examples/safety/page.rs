@@ -176,7 +176,7 @@ fn write(page: &mut String, figures: &Figures, rendered: &Figures, (seed, origin
     writeln!(
         page,
         "The largest share of a limit that an obeying joint used; accelerations of stops by the arm itself and behind late commands are excluded.\n\
-         An acceleration is the change of speed within 20 ms; twice the limit is allowed ([safety.md](../safety.md)).\n"
+         An acceleration is the change of speed within 20 ms; 1.3 times the limit is allowed, more while commands are lost or late ([safety.md](../safety.md)).\n"
     )?;
     writeln!(page, "| limit | share | seed |\n|---|---|---|")?;
     for (name, margin) in &figures.margins {

@@ -226,7 +226,11 @@ impl Watcher for Watching<'_> {
         self.buffered.push_front(percept.observation);
         self.buffered.truncate(BUFFERED);
         let mut changed = Some(percept);
-        for (index, fault) in self.scenario.faults.iter().enumerate().filter(|(_, fault)| fault.is_on(t_s)) {
+        let mut faults: Vec<_> =
+            self.scenario.faults.iter().enumerate().filter(|(_, fault)| fault.is_on(t_s)).collect();
+        // A camera buffers images before anything else can happen to their poses: a pose that is scattered stays scattered.
+        faults.sort_by_key(|(_, fault)| !matches!(fault.kind, Kind::OldContent(_)));
+        for (index, fault) in faults {
             let Some(percept) = changed else { break };
             self.hit = true;
             changed = self.spoil(&fault.kind, percept, now);
