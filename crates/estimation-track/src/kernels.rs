@@ -6,7 +6,7 @@ use super::clipped::{any_clipped, leave_out, leave_out_of_values, one_colour, un
 pub(super) use super::correlation::{Correlation, MomentSums, Moments};
 pub(super) use super::images::CHANNELS;
 use super::images::CameraImages;
-use super::lanes::{Lanes, each_lane};
+use super::lanes::{Lanes, each_lane, repeated};
 
 /// Unknowns without the gains: the motion `[rho; phi]` of the model in its own frame (metres, radians), the row offset of the
 /// right image (pixels), the change of the inverse-depth plane of the surface (1/m).
@@ -15,6 +15,13 @@ pub(super) const UNKNOWNS: usize = 10;
 pub(super) const ROW: usize = 6;
 /// Index of the first of the three unknowns of the surface's plane.
 pub(super) const SHAPE: usize = 7;
+/// Writes the expression once per unknown, see [`repeated`].
+macro_rules! each_unknown {
+    ($i:ident => $body:expr) => {
+        const _: () = assert!(UNKNOWNS == 10, "as many as there are unknowns");
+        repeated!($i in [0, 1, 2, 3, 4, 5, 6, 7, 8, 9] => $body);
+    };
+}
 /// Number of entries of the upper triangle.
 pub(super) const TRIANGLE: usize = UNKNOWNS * (UNKNOWNS + 1) / 2;
 /// Residuals per point and channel: stored view against left, stored view against right, left against right.
@@ -225,18 +232,17 @@ fn score_kernel(
             let to_right = (right + pair) * r_right - pair * r_left;
             let (a, b) = (in_left[UNKNOWNS - 1], in_right[UNKNOWNS - 1]);
             let depth = [(left + pair) * a - pair * b, (right + pair) * b - pair * a];
-            for i in 0..UNKNOWNS {
+            each_unknown!(i => {
                 slope[i] = slope[i].plus(in_left[i], to_left).plus(in_right[i], to_right);
                 by_depth[i] = by_depth[i].plus(in_left[i], depth[0]).plus(in_right[i], depth[1]);
-            }
+            });
             score.gain_slope[c] =
                 [(to_left * view.value[c]).sum(), to_left.sum(), (to_right * view.value[c]).sum(), to_right.sum()];
             let value = view.value[c];
             score.gain_by_depth[c] =
                 [(depth[0] * value).sum(), depth[0].sum(), (depth[1] * value).sum(), depth[1].sum()];
         }
-        score.slope = slope.map(|lanes| lanes.sum());
-        score.by_depth = by_depth.map(|lanes| lanes.sum());
+        each_unknown!(i => (score.slope[i], score.by_depth[i]) = (slope[i].sum(), by_depth[i].sum()));
     }
 }
 
@@ -262,11 +268,11 @@ fn project_kernel(
         let out = &mut seen[side];
         out.pixel =
             [u.plus(u_by_x, dx).plus(u_by_y, dy), (v + Lanes::splat(row_offset)).plus(v_by_x, dx).plus(v_by_y, dy)];
-        for i in 0..3 {
+        repeated!(i in [0, 1, 2] => {
             let (by_x, by_y) = ((r0[i] - x * r2[i]) * inverse_z, (r1[i] - y * r2[i]) * inverse_z);
             out.by_point[i] = u_by_x * by_x + u_by_y * by_y;
             out.by_point[3 + i] = v_by_x * by_x + v_by_y * by_y;
-        }
+        });
         let [u0, u1, u2, v0, v1, v2] = out.by_point;
         let [x0, x1, x2, y0, y1, y2] = group.base;
         let (by_u, by_v, along_x, along_y) = ([u0, u1, u2], [v0, v1, v2], [x0, x1, x2], [y0, y1, y2]);

@@ -21,6 +21,15 @@ macro_rules! each_lane {
 }
 pub(super) use each_lane;
 
+/// Writes an expression once per index instead of looping. The compiler would make such a loop one over vectors of all indices, which
+/// gathers and scatters single lanes, and takes ten times as long.
+macro_rules! repeated {
+    ($i:ident in [$($index:literal),+] => $body:expr) => {
+        $({ let $i: usize = $index; $body; })+
+    };
+}
+pub(super) use repeated;
+
 /// One value for each of [`LANES`] points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(align(64))]

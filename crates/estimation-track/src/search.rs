@@ -3,19 +3,21 @@
 
 use std::ops::Range;
 
-use nalgebra::{Isometry3, Point3, Vector2, Vector3};
+use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
-use pb3dp_estimation_core::wide::{LANES, wide};
+use pb3dp_estimation_core::wide::wide;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Camera, Pose, StereoRig, so3};
 
 use super::images::{CameraImages, LEVELS, Texel, TexelPlane, texel_at};
 use super::kernels::{CHANNELS, SurfaceGroup, ViewGroup};
+use super::lanes::{LANES, Lanes, each_lane};
 use super::surface::Surface;
 use super::view::View;
 use crate::kernels::{Correlation, MomentSums};
 
-/// Largest number of points of a template. Chosen by hand, not varied: the time of a search grows with it.
+/// Largest number of points of a template, and of those at which depths are tested. Chosen by hand, not varied: the time of a search
+/// grows with it.
 const POINTS_MAX: usize = 64;
 /// Smallest number of points of a template. Chosen by hand, not varied: with less, a template fits anywhere; with more,
 /// small targets are found only near their expected position.
@@ -51,12 +53,12 @@ pub(super) struct Place {
     pub(super) correlation: f64,
 }
 
-/// A template point: its offset from the template's centre, whole pixels of the searched level, and its channels without their mean;
-/// the fourth is zero.
+/// A template point: its offset from the template's centre, whole pixels of the searched level, and its channels without their mean.
 #[derive(Clone, Copy, Debug, Default)]
 struct TemplatePoint {
     offset_px: [i32; 2],
-    value: Texel,
+    /// Once for each pixel of a block; every fourth is zero.
+    value: Lanes,
 }
 
 /// Buffers of the search.
@@ -152,7 +154,7 @@ impl Searcher {
                 }
                 let offset = [pinhole.fx * point.x / point.z / side, pinhole.fy * point.y / point.z / side];
                 let [y, a, b] = view.value.map(|v| v.0[i]);
-                let value = [y, a, b, 0.0];
+                let value = repeated_in_block([y, a, b, 0.0]);
                 if self.template.len() < POINTS_MAX {
                     // Farther than any pixel, and far from the end of integers.
                     let offset_px = offset.map(|x| x.round().clamp(-1e6, 1e6) as i32);
@@ -168,7 +170,7 @@ impl Searcher {
 /// The hypothesis moved to another ray (third component 1), with the same viewing direction and depth.
 fn moved_to_ray(hypothesis: &Pose<CamLeft, Model>, ray: &Vector3<f64>) -> Pose<CamLeft, Model> {
     let from = hypothesis.translation_m();
-    let turn = nalgebra::UnitQuaternion::rotation_between(&from, ray).unwrap_or_default();
+    let turn = UnitQuaternion::rotation_between(&from, ray).unwrap_or_default();
     Pose::from_parts(ray * from.z, turn * hypothesis.rotation())
 }
 
@@ -176,8 +178,8 @@ fn moved_to_ray(hypothesis: &Pose<CamLeft, Model>, ray: &Vector3<f64>) -> Pose<C
 fn centre(template: &mut [TemplatePoint]) {
     let count = template.len().max(1) as f32;
     for c in 0..CHANNELS {
-        let mean = template.iter().map(|point| point.value[c]).sum::<f32>() / count;
-        template.iter_mut().for_each(|point| point.value[c] -= mean);
+        let mean = template.iter().map(|point| point.value.0[c]).sum::<f32>() / count;
+        template.iter_mut().for_each(|point| point.value.0.iter_mut().skip(c).step_by(4).for_each(|v| *v -= mean));
     }
 }
 
@@ -245,6 +247,10 @@ wide! {
 /// Pixels that are compared at the same time: their texels fill the lanes.
 const BLOCK: usize = LANES / 4;
 
+fn repeated_in_block(texel: Texel) -> Lanes {
+    Lanes(std::array::from_fn(|i| texel[i % 4]))
+}
+
 #[inline(always)]
 fn score_row_kernel(template: &[TemplatePoint], plane: &TexelPlane, [first, y]: [usize; 2], scores: &mut [f32]) {
     let offsets = |axis: usize| template.iter().map(move |point| point.offset_px[axis]);
@@ -270,18 +276,19 @@ fn score_row_kernel(template: &[TemplatePoint], plane: &TexelPlane, [first, y]: 
 /// Correlations at adjacent pixels at which the whole template is inside the image.
 #[inline(always)]
 fn score_block(template: &[TemplatePoint], plane: &TexelPlane, [x, y]: [usize; 2]) -> [f32; BLOCK] {
-    let (mut sums, mut squares, mut products) = ([0.0_f32; LANES], [0.0_f32; LANES], [0.0_f32; LANES]);
-    let mut own_squared = 0.0;
+    let (mut sums, mut squares, mut products) = (Lanes::ZERO, Lanes::ZERO, Lanes::ZERO);
+    let mut own_squared = Lanes::ZERO;
     for TemplatePoint { offset_px: [dx, dy], value } in template {
         let (column, row) = (x as i32 + dx, y as i32 + dy);
         let texels = plane.texels[row as usize * plane.width + column as usize..][..BLOCK].as_flattened();
-        for i in 0..LANES {
-            sums[i] += texels[i];
-            squares[i] += texels[i] * texels[i];
-            products[i] += texels[i] * value[i % 4];
-        }
-        own_squared += value[0] * value[0] + value[1] * value[1] + value[2] * value[2];
+        let texels = each_lane!(i => texels[i]);
+        sums += texels;
+        squares = squares.plus(texels, texels);
+        products = products.plus(texels, *value);
+        own_squared = own_squared.plus(*value, *value);
     }
+    let own_squared = own_squared.0[0] + own_squared.0[1] + own_squared.0[2];
+    let (sums, squares, products) = (sums.0, squares.0, products.0);
     let inverse_count = 1.0 / template.len() as f32;
     std::array::from_fn(|pixel| {
         // The fourth lane counts saturated pixels.
@@ -307,11 +314,11 @@ fn score_at_border(template: &[TemplatePoint], plane: &TexelPlane, [x, y]: [usiz
         let texel = &plane.texels[row as usize * plane.width + column as usize];
         count += 1.0;
         for c in 0..CHANNELS {
-            sums.view[c] += value[c];
+            sums.view[c] += value.0[c];
             sums.image[c] += texel[c];
-            sums.view_squared[c] += value[c] * value[c];
+            sums.view_squared[c] += value.0[c] * value.0[c];
             sums.image_squared[c] += texel[c] * texel[c];
-            sums.product[c] += value[c] * texel[c];
+            sums.product[c] += value.0[c] * texel[c];
         }
     }
     if count < template.len() as f32 * VISIBLE_MIN as f32 {
@@ -346,12 +353,14 @@ pub(super) fn depth_by_stereo(
     let (near, far) = (focal_baseline / (z / DEPTH_REACH), focal_baseline / (z * DEPTH_REACH));
     let step_px = 0.5 * f64::from(1_u32 << level);
     let count = (((near - far) / step_px).ceil() as usize).clamp(2, DEPTHS_MAX);
+    let right_from_left = rig.cam_right_from_cam_left();
+    // Along the ray only the translation changes.
+    let points = DepthPoints::of(groups, view, &(*right_from_left * *pose).isometry().rotation);
     let mut best: Option<(f64, Pose<CamLeft, Model>)> = None;
     for k in 0..count {
         let disparity = far + (near - far) * k as f64 / (count - 1) as f64;
         let moved = Pose::from_parts(pose.translation_m() * (focal_baseline / disparity / z), pose.rotation());
-        let cam_right = *rig.cam_right_from_cam_left() * moved;
-        let correlation = correlation_at(groups, view, level, cam_right.isometry(), right, rig.right());
+        let correlation = points.correlation(&(*right_from_left * moved).translation_m(), level, right, rig.right());
         if best.is_none_or(|(value, _)| correlation > value) {
             best = Some((correlation, moved));
         }
@@ -359,28 +368,39 @@ pub(super) fn depth_by_stereo(
     best.and_then(|(correlation, moved)| (correlation > CORRELATION_MIN).then_some(moved))
 }
 
-/// Correlation of an image with the surface at a pose.
-fn correlation_at(
-    groups: &[SurfaceGroup],
-    view: &[ViewGroup],
-    level: usize,
-    cam_from_model: &Isometry3<f64>,
-    image: &CameraImages,
-    camera: &Camera,
-) -> f64 {
-    let (mut correlation, mut tried) = (Correlation::default(), 0.0);
-    for (group, view) in groups.iter().zip(view) {
-        for i in (0..LANES).step_by(2).filter(|&i| view.valid.0[i] * group.mask.0[i] > 0.0) {
-            tried += 1.0;
-            let point = cam_from_model * Point3::from(group.point.map(|x| f64::from(x.0[i])));
-            let Some(pixel) = camera.project(&point) else { continue };
-            let at = [pixel.x as f32, pixel.y as f32];
-            if let Some([y, a, b, _]) = texel_at(image, level, at) {
-                correlation.add(1.0, view.value.map(|v| v.0[i]), [y, a, b]);
+/// Points of a surface, evenly chosen, with the channels of a view.
+struct DepthPoints {
+    /// Relative to the origin of `model`, along the axes of the camera, metres; and the channels.
+    points: [(Vector3<f64>, [f32; CHANNELS]); POINTS_MAX],
+    count: usize,
+}
+
+impl DepthPoints {
+    fn of(groups: &[SurfaceGroup], view: &[ViewGroup], cam_from_model: &UnitQuaternion<f64>) -> Self {
+        let count: f32 = groups.iter().zip(view).map(|(group, view)| (group.mask * view.valid).sum()).sum();
+        let lanes = groups.iter().zip(view).flat_map(|pair| (0..LANES).map(move |i| (pair, i)));
+        let visible = lanes.filter(|&((group, view), i)| view.valid.0[i] * group.mask.0[i] > 0.0);
+        let chosen = visible.step_by((count as usize).div_ceil(POINTS_MAX).max(1));
+        let mut all = Self { points: [(Vector3::zeros(), [0.0; CHANNELS]); POINTS_MAX], count: 0 };
+        for (out, ((group, view), i)) in all.points.iter_mut().zip(chosen) {
+            let point = Vector3::from(group.point.map(|x| f64::from(x.0[i])));
+            *out = (cam_from_model * point, view.value.map(|v| v.0[i]));
+            all.count += 1;
+        }
+        all
+    }
+
+    /// Correlation with an image, the origin of `model` being at `origin_m`.
+    fn correlation(&self, origin_m: &Vector3<f64>, level: usize, image: &CameraImages, camera: &Camera) -> f64 {
+        let mut correlation = Correlation::default();
+        for (point, channels) in &self.points[..self.count] {
+            let Some(pixel) = camera.project(&Point3::from(point + origin_m)) else { continue };
+            if let Some([y, a, b, _]) = texel_at(image, level, [pixel.x as f32, pixel.y as f32]) {
+                correlation.add(1.0, *channels, [y, a, b]);
             }
         }
+        if correlation.count() < VISIBLE_MIN * self.count as f64 { -1.0 } else { correlation.value() }
     }
-    if correlation.count() < VISIBLE_MIN * tried { -1.0 } else { correlation.value() }
 }
 
 /// Tested rotations about the line of sight, radians (20 and 40 degrees). Chosen by hand, not varied: the time to try all
@@ -402,7 +422,7 @@ pub(super) fn mirrored(pose: &Pose<CamLeft, Model>) -> Pose<CamLeft, Model> {
     let normal = pose.rotation() * Vector3::z();
     let sight = pose.translation_m().try_normalize(1e-9).unwrap_or_else(Vector3::z);
     let opposite = sight * (2.0 * normal.dot(&sight)) - normal;
-    let turn = nalgebra::UnitQuaternion::rotation_between(&normal, &opposite).unwrap_or_default();
+    let turn = UnitQuaternion::rotation_between(&normal, &opposite).unwrap_or_default();
     Pose::from_parts(pose.translation_m(), turn * pose.rotation())
 }
 
@@ -428,7 +448,7 @@ mod tests {
         let mut template: Vec<TemplatePoint> = (0..30)
             .map(|_| TemplatePoint {
                 offset_px: [number(15.0) as i32 - 9, number(11.0) as i32 - 3],
-                value: [number(90.0) as f32, number(60.0) as f32, number(20.0) as f32, 0.0],
+                value: repeated_in_block([number(90.0) as f32, number(60.0) as f32, number(20.0) as f32, 0.0]),
             })
             .collect();
         centre(&mut template);

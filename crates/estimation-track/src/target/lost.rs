@@ -21,6 +21,9 @@ const CANDIDATES: usize = 4;
 const ROUGH_STEPS: usize = 6;
 /// Correlation that the rough alignment must reach. Chosen, see [`TEMPLATES_PER_FRAME`].
 const ROUGH_RESEMBLANCE_MIN: f64 = 0.5;
+/// The same at a quarter of the resolution, if the target has enough points there. Chosen: four fifths of it, since most places that do
+/// not match are below, and finer levels take most of the time.
+const COARSE_RESEMBLANCE_MIN: f64 = 0.4;
 /// Factor by which a target must be nearer to the prediction than its twin. Chosen by hand, not varied: with less, the twin is
 /// accepted after fast motion; with more, the target stays lost longer.
 const CLEARLY_NEARER: f64 = 2.0;
@@ -142,7 +145,16 @@ impl Target {
         self.estimate.cam_left_from_model = *start;
         let (mut problem, aligner, estimate) = self.problem(frame);
         let plan = AlignmentPlan { start: StartLevel::Coarsest, free: Free::Motion, steps_max: ROUGH_STEPS };
-        aligner.align(&mut problem, estimate, 1..=LEVELS - 1, plan, may_continue)?;
+        let mut levels = 1..=LEVELS - 1;
+        if problem.surface.levels[2].points() >= POINTS_PREFERRED {
+            aligner.align(&mut problem, estimate, 2..=LEVELS - 1, plan, may_continue)?;
+            aligner.look(&problem, estimate, 2, &estimate.photometry())?;
+            if aligner.resemblance(&problem, 2) < COARSE_RESEMBLANCE_MIN {
+                return None;
+            }
+            levels = 1..=1;
+        }
+        aligner.align(&mut problem, estimate, levels, plan, may_continue)?;
         aligner.look(&problem, estimate, 1, &estimate.photometry())?;
         (aligner.resemblance(&problem, 1) >= ROUGH_RESEMBLANCE_MIN).then_some(estimate.cam_left_from_model)
     }
