@@ -294,19 +294,23 @@ fn a_hand_searches_once_for_some_time_and_not_while_it_is_held() {
 fn stalled() -> Cell {
     let mut cell = Cell::going();
     cell.run(1.5);
+    stall(&mut cell);
+    cell
+}
+
+/// Pairs do not come any more, and a stall is reported in the step from which on the hand is inhibited.
+fn stall(cell: &mut Cell) {
     cell.pairs = false;
-    cell.run(0.17);
     while !cell.model.is_hand_inhibited(cell.t_s) {
         assert!(cell.t_s < 10.0);
         let before = cell.clone();
         cell.step();
         if cell.model.is_hand_inhibited(cell.t_s) {
-            cell = before;
+            *cell = before;
             cell.model.reported(true);
             cell.step();
         }
     }
-    cell
 }
 
 /// The next pair comes with the report that the stall is over.
@@ -352,9 +356,7 @@ fn a_stall_that_is_long_or_soon_after_another_one_is_a_hold() {
         let mut cell = stalled();
         over(&mut cell);
         cell.run(pause_s - 0.2);
-        cell.pairs = false;
-        cell.run(0.17);
-        cell.model.reported(true);
+        stall(&mut cell);
         cell.run(0.1);
         assert!(!cell.may()[0], "no pairs");
         over(&mut cell);
