@@ -58,9 +58,10 @@ impl Permitting {
             operator,
             controller: control.mode,
             innovation: innovation(&control.observation),
+            target_covariance: control.target_covariance,
             estimate: newest.map(|percept| percept.estimate),
             frame: newest.map(|percept| percept.frame),
-            range_end: Some(nearest_end(&self.limits, &arms[0].1.position_rad)),
+            range_end: nearest_end(&self.limits, &arms[0].1.position_rad),
             smallest_singular_value: control.smallest_singular_value,
             arms: arms.map(|(state, joints)| ArmInput { state, measured_at: Some(joints.at) }),
         };
@@ -86,16 +87,10 @@ fn innovation(verdict: &ObservationVerdict) -> Innovation {
 }
 
 /// The joint nearest to an end of its range.
-fn nearest_end(limits: &JointLimits, position_rad: &JointVector) -> RangeEnd {
-    let left_rad = |joint: usize| {
-        let (min, max) = (limits.position_min_rad()[joint], limits.position_max_rad()[joint]);
-        (position_rad[joint] - min).min(max - position_rad[joint])
-    };
-    let first = RangeEnd { joint: 0, distance_rad: left_rad(0) };
-    (1..DOF).fold(first, |nearest, joint| {
-        let distance_rad = left_rad(joint);
-        if distance_rad < nearest.distance_rad { RangeEnd { joint, distance_rad } } else { nearest }
-    })
+fn nearest_end(limits: &JointLimits, position_rad: &JointVector) -> Option<RangeEnd> {
+    let left_rad = limits.margin_rad(position_rad);
+    let ends = (0..DOF).map(|joint| RangeEnd { joint, distance_rad: left_rad[joint] });
+    ends.reduce(|nearest, end| if end.distance_rad < nearest.distance_rad { end } else { nearest })
 }
 
 #[cfg(test)]
@@ -108,11 +103,11 @@ mod tests {
         let max_rad = JointVector::from([1.0, 2.0, 1.0, 2.5, 3.0, 1.5, 4.0]);
         let limits = JointLimits::new(min_rad, max_rad, JointVector::from_element(1.0)).unwrap();
         let mut position_rad = JointVector::zeros();
-        assert_eq!(nearest_end(&limits, &position_rad), RangeEnd { joint: 3, distance_rad: 0.5 });
+        assert_eq!(nearest_end(&limits, &position_rad), Some(RangeEnd { joint: 3, distance_rad: 0.5 }));
         position_rad[5] = 1.25;
-        assert_eq!(nearest_end(&limits, &position_rad), RangeEnd { joint: 5, distance_rad: 0.25 });
+        assert_eq!(nearest_end(&limits, &position_rad), Some(RangeEnd { joint: 5, distance_rad: 0.25 }));
         position_rad[2] = -2.125;
-        assert_eq!(nearest_end(&limits, &position_rad), RangeEnd { joint: 2, distance_rad: -0.125 });
+        assert_eq!(nearest_end(&limits, &position_rad), Some(RangeEnd { joint: 2, distance_rad: -0.125 }));
     }
 
     #[test]

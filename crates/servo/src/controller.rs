@@ -5,6 +5,7 @@ mod driving;
 use std::fmt;
 
 use driving::Pace;
+use nalgebra::Matrix6;
 use pb3dp_geometry::frames::{Base, Hand, Model};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_kinematics::{Chain, Damping, EffectiveLimits, JointState, JointVector};
@@ -123,6 +124,8 @@ pub struct ControlStep {
     pub base_from_hand: Option<Pose<Base, Hand>>,
     /// Pose of the target at the time of the joint sample, smoothed or predicted.
     pub base_from_model: Option<Pose<Base, Model>>,
+    /// Covariance of the predicted target pose at the time of the step: metres and radians, translation first, axes of the model.
+    pub target_covariance: Option<Matrix6<f64>>,
     /// Desired pose of the hand.
     pub base_from_hand_desired: Option<Pose<Base, Hand>>,
     /// Time since the exposure of the last accepted observation, seconds.
@@ -216,13 +219,13 @@ impl Controller {
         self.search.permit(is_permitted);
     }
 
-    /// Stores the command that the arm actually received. After a hold the hand starts softly again, and the joint motion is
-    /// predicted from the actual commands.
+    /// Stores the command that the arm actually received. After a hold the hand starts softly again: from rest, or after a short one
+    /// that keeps the target from the measured speed. The joint motion is predicted from the actual commands.
     pub fn note_told(&mut self, told: Command) {
         let velocity_rad_per_s = match told {
             Command::Velocity(velocity) => velocity,
             Command::Hold => {
-                self.pace = Pace::rest();
+                self.pace.hold(self.stepped_at);
                 JointVector::zeros()
             }
         };
@@ -388,6 +391,7 @@ impl Controller {
             observation: ObservationVerdict::NoneNew,
             base_from_hand: None,
             base_from_model,
+            target_covariance: self.target.at(now).map(|target| target.covariance),
             base_from_hand_desired: None,
             observation_age_s: self.target.observed_at().map(|at| now.seconds_since(at)),
             position_error_m: None,

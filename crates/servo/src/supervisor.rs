@@ -5,13 +5,15 @@
 //! [`table`](mod@table) and timers. Only the operator's reset leaves a latched state, and it leads to [`State::Idle`].
 //!
 //! Motion always starts from new measurements: at each hold, stop, fault, reset and selection, [`Decision::rearm`] makes the
-//! controller drop its set-points, and motion is inhibited until new ones exist.
+//! controller drop its set-points, and motion is inhibited until new ones exist. Only a hold for a part that stood still for a moment
+//! keeps the target, while its predicted pose is certain enough.
 
 mod codes;
 mod findings;
 mod inputs;
 mod log;
 mod policy;
+mod stall;
 pub mod table;
 mod words;
 
@@ -31,6 +33,7 @@ pub use self::table::{Event, Order, Outcome, State};
 pub use self::words::{Refusal, RefusedFor, Then, Why};
 
 use self::findings::Findings;
+use self::stall::{Stalls, is_only_stalled};
 use self::table::outcome;
 use crate::controller::Mode;
 
@@ -99,6 +102,7 @@ pub struct Supervisor {
     needs_word_for_more: bool,
     /// State of the search for the target since the last motion.
     search: SearchRight,
+    stalls: Stalls,
     log: TransitionLog,
 }
 
@@ -122,6 +126,7 @@ impl Supervisor {
             needs_word: false,
             needs_word_for_more: false,
             search: SearchRight::Unused,
+            stalls: Stalls::default(),
             log: TransitionLog::new(),
         })
     }
@@ -231,6 +236,7 @@ impl Supervisor {
             said(OperatorCommand::Hold),
             said(OperatorCommand::HoldHand),
             of_alarm(Event::LossFound),
+            self.stall(inputs, alarm, now),
             of_alarm(Event::HoldFound),
             said(OperatorCommand::Select),
             said(OperatorCommand::Start),
@@ -258,6 +264,29 @@ impl Supervisor {
         self.clear_since.is_some() && (self.clear_for_s() >= self.config.go_after_s || is_off(Safeguard::ClearForWords))
     }
 
+    /// Begin and end of a hold for a part that stands still for a moment.
+    fn stall(
+        &self,
+        inputs: &Inputs,
+        alarm: Option<(Event, Cause)>,
+        now: MonotonicTime,
+    ) -> Option<(Event, Option<Cause>)> {
+        let is_stalled = !self.held_by_operator
+            && !self.needs_word
+            && is_only_stalled(&self.findings, &self.config.policies, inputs);
+        if self.stalls.since.is_none() {
+            let (event, cause) = alarm?;
+            let begins =
+                event == Event::HoldFound && self.state.is_moving() && is_stalled && self.stalls.may_begin(now);
+            return begins.then_some((Event::StallFound, Some(cause)));
+        }
+        if !is_stalled || !self.stalls.is_short(now) {
+            return Some((Event::StallFailed, self.cause));
+        }
+        // Every part has worked since the step before.
+        self.clear_since.is_some().then_some((Event::StallOver, None))
+    }
+
     /// Automatic transitions.
     fn by_itself(&self, inputs: &Inputs) -> Option<Event> {
         let may_resume = !self.held_by_operator && !self.needs_word && self.clear_for_s() >= self.config.resume_after_s;
@@ -281,12 +310,14 @@ impl Supervisor {
         if matches!(event, Event::Start | Event::Resume) {
             self.holds_every_arm = false;
         }
+        self.stalls.end(at);
         match event {
             Event::Select => {
                 self.findings.begin(at);
                 self.spoke = None;
             }
             Event::Start => self.findings.start(),
+            Event::StallFound => self.stalls.since = Some(at),
             _ => {}
         }
         self.state = to;
@@ -435,7 +466,8 @@ impl Supervisor {
 
     fn why(&self, blocking: Option<Cause>, now: MonotonicTime) -> Why {
         let state = self.state;
-        let then = if self.needs_word { Then::Resume } else { Then::ByItself { after_s: self.config.resume_after_s } };
+        let after_s = if self.stalls.since.is_some() { 0.0 } else { self.config.resume_after_s };
+        let then = if self.needs_word { Then::Resume } else { Then::ByItself { after_s } };
         let wants_word = state == State::Selecting || self.held_by_operator || self.needs_word;
         match (state, blocking) {
             (State::Idle, _) => Why::Idle,

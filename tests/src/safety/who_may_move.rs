@@ -1,15 +1,17 @@
 //! Who may move: a model written from docs/supervisor.md. It knows the operator's commands, the pairs that were delivered, the
 //! clock and the latches of the arms, but nothing that the supervisor has decided.
 //!
-//! The answers that the operator sees count in one direction only: a refused command has no effect. No answer gives a
-//! permission, so a supervisor that moves an arm by mistake cannot excuse itself.
+//! The answers that the operator sees count in one direction only: a refused command has no effect, and a hold that is not reported
+//! as a stall is none. No answer gives a permission, so a supervisor that moves an arm by mistake cannot excuse itself.
 //!
 //! The model permits too much rather than too little: it does not know the conditions that depend on the filter of the
 //! controller (`outlier`, `position_jump`, `orientation_jump`, `controller_rests`), nor `joints_stale`.
 
 mod conditions;
+mod stalls;
 
 use conditions::Conditions;
+use stalls::{Stall, Stalls};
 
 /// Tolerance of comparisons of times, seconds: the program counts nanoseconds.
 const ROUNDING_S: f64 = 1e-6;
@@ -114,6 +116,17 @@ enum Stage {
     Going,
 }
 
+/// Whether conditions inhibit the motion of the hand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Inhibit {
+    /// They do not.
+    None,
+    /// Parts stand still for a moment: the hand may move on as soon as they work again.
+    Stall,
+    /// A condition has inhibited it, and has not been gone for long enough.
+    Hold,
+}
+
 /// A command on its way.
 #[derive(Clone, Copy, Debug)]
 struct Given {
@@ -137,8 +150,10 @@ pub struct WhoMayMove {
     target_waits: bool,
     given: Option<Given>,
     conditions: Conditions,
-    /// A condition has inhibited the motion of the hand, and has not been gone for long enough.
-    is_inhibited: bool,
+    inhibit: Inhibit,
+    stalls: Stalls,
+    /// What the operator reads in this step: the hand holds for a stall from now on, or does no longer.
+    report: Option<bool>,
     /// True time at which the target was lost.
     lost_s: Option<f64>,
     has_searched: bool,
@@ -157,7 +172,9 @@ impl WhoMayMove {
             target_waits: has_person,
             given: None,
             conditions: Conditions::default(),
-            is_inhibited: false,
+            inhibit: Inhibit::None,
+            stalls: Stalls::default(),
+            report: None,
             lost_s: None,
             has_searched: false,
             resets: 0,
@@ -174,6 +191,11 @@ impl WhoMayMove {
         if let Some(given) = &mut self.given {
             given.is_refused = true;
         }
+    }
+
+    /// The operator reads that the hand holds for a stall from this step on, or that the stall ends.
+    pub fn reported(&mut self, is_stall: bool) {
+        self.report = Some(is_stall);
     }
 
     /// A pair is delivered to the control loop.
@@ -214,7 +236,7 @@ impl WhoMayMove {
         }
         if matches!(stage, Stage::Latched | Stage::Idle | Stage::Selected) {
             self.conditions.started = None;
-            self.is_inhibited = false;
+            self.inhibit = Inhibit::None;
         }
     }
 
@@ -268,7 +290,7 @@ impl WhoMayMove {
             (Word::Resume, Stage::Held) if may_go => self.go(now_s),
             // The hand holds because of a condition that has gone, and need not wait.
             (Word::Resume, Stage::Going) if may_go => {
-                self.is_inhibited = false;
+                self.inhibit = Inhibit::None;
                 self.target_waits = false;
             }
             _ => {}
@@ -278,21 +300,26 @@ impl WhoMayMove {
     fn go(&mut self, now_s: f64) {
         self.enter(Stage::Going, now_s);
         self.target_waits = false;
-        self.is_inhibited = false;
+        self.inhibit = Inhibit::None;
         self.has_searched = false;
     }
 
-    /// Holds of the hand that end without a command.
+    /// Holds of the hand that end without a command: a stall at once, others after some time.
     fn inhibit(&mut self, true_s: f64) {
+        let is_still = self.stage == Stage::Going && self.conditions.are_only_parts_still();
+        let stall = self.stalls.look(self.report.take(), is_still, self.now_s);
         if self.stage != Stage::Going {
             return;
         }
-        if self.conditions.holds() {
-            self.is_inhibited = true;
-        } else if self.conditions.is_clear_for(RESUME_AFTER_S) {
-            self.is_inhibited = false;
-        }
-        if !self.is_inhibited {
+        self.inhibit = match (self.inhibit, stall) {
+            (Inhibit::None | Inhibit::Stall, Stall::On) if self.conditions.holds() => Inhibit::Stall,
+            _ if self.conditions.holds() => Inhibit::Hold,
+            _ if self.conditions.is_clear_for(RESUME_AFTER_S) => Inhibit::None,
+            (Inhibit::Stall, Stall::Over) if self.conditions.is_clear() => Inhibit::None,
+            (Inhibit::Stall, Stall::None | Stall::Over) => Inhibit::Hold,
+            (inhibit, _) => inhibit,
+        };
+        if self.inhibit == Inhibit::None {
             (self.lost_s, self.has_searched) = (None, false);
         } else if self.conditions.is_lost && self.lost_s.is_none() && !self.has_searched {
             (self.lost_s, self.has_searched) = (Some(true_s), true);
@@ -306,7 +333,7 @@ impl WhoMayMove {
 
     /// Whether a condition inhibits the hand, which may not search either.
     pub fn is_hand_inhibited(&self, true_s: f64) -> bool {
-        self.is_inhibited && !self.may_search(true_s)
+        self.inhibit != Inhibit::None && !self.may_search(true_s)
     }
 
     /// Whether the target arm may move.

@@ -16,6 +16,8 @@ pub struct Fault {
     pub from_s: f64,
     /// Duration, seconds, for kinds that have one.
     pub for_s: f64,
+    /// Name in tables of the stall that this fault is, or is a part of.
+    pub stall: Option<&'static str>,
 }
 
 /// Kind of fault.
@@ -163,7 +165,6 @@ impl Kind {
     pub const COUNT: usize = OF_THE_CELL.len() + OF_ARMS.len();
 
     /// A fault of one arm, by its name in tables.
-    #[cfg(any(test, feature = "disabled-guards"))]
     pub fn of_arm(arm: usize, name: &'static str, line: &str, end: Option<&str>) -> Self {
         assert!(OF_ARMS.iter().any(|(known, _)| *known == name), "{name}");
         Self::Arm { arm, name, line: line.to_owned(), end: end.map(str::to_owned) }
@@ -384,6 +385,16 @@ fn amount(line: &str) -> f64 {
 }
 
 impl Fault {
+    /// A fault that is no stall.
+    pub fn new(kind: Kind, from_s: f64, for_s: f64) -> Self {
+        Self { kind, from_s, for_s, stall: None }
+    }
+
+    /// Name in tables.
+    pub fn name(&self) -> &'static str {
+        self.stall.unwrap_or_else(|| self.kind.name())
+    }
+
     /// End of the fault, seconds.
     pub fn until_s(&self) -> f64 {
         self.from_s + self.for_s

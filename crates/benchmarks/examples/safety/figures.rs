@@ -82,7 +82,7 @@ impl Figures {
             seeds.dedup();
         }
         for (fault, became) in scenario.faults.iter().zip(&ran.became) {
-            let count = self.faults.entry(fault.kind.name()).or_default();
+            let count = self.faults.entry(fault.name()).or_default();
             count.drawn += 1;
             count.begun += u64::from(*became != Became::AfterTheEnd);
             count.without_effect += u64::from(*became == Became::NoEffect);

@@ -23,8 +23,9 @@ fn scenario(line: &str) -> Result<Scenario> {
     ensure!(words.next().is_some(), "say what this seed has found");
     match draw {
         "first" => Ok(Scenario::first(seed)),
-        "wide" => Ok(Scenario::of(seed)),
-        _ => anyhow::bail!("the draw is `first` or `wide`"),
+        "wide" => Ok(Scenario::wide(seed)),
+        "stalls" => Ok(Scenario::of(seed)),
+        _ => anyhow::bail!("the draw is `first`, `wide` or `stalls`"),
     }
 }
 

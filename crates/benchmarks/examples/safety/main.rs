@@ -15,6 +15,7 @@ mod recorder;
 mod rig;
 mod scenario;
 mod speaker;
+mod stalls;
 mod telling;
 mod workcell;
 

@@ -133,7 +133,7 @@ fn write(page: &mut String, figures: &Figures, rendered: &Figures, (seed, origin
     writeln!(page, "`cargo xtask bench safety --seed {seed} --runs {runs} --rendered {}`; {origin}\n", rendered.runs)?;
     writeln!(
         page,
-        "{runs} runs of up to 20 virtual seconds ({virtual_s:.0} s in all) with 1 to 6 faults each, at {:.0} times real time per core.",
+        "{runs} runs of up to 20 virtual seconds ({virtual_s:.0} s in all) with 1 to 6 faults each and up to 3 stalls in half of them, at {:.0} times real time per core.",
         figures.times_real_time()
     )?;
     writeln!(

@@ -67,7 +67,7 @@ impl Proof {
         let (motion, carrier) = (self.motion)(&mut dice);
         let faults: Vec<_> = (self.faults)(&mut dice)
             .into_iter()
-            .map(|(after_s, for_s, kind)| Fault { kind, from_s: FIRST_S + after_s, for_s })
+            .map(|(after_s, for_s, kind)| Fault::new(kind, FIRST_S + after_s, for_s))
             .collect();
         let has_person = self.has_person;
         let workcell = Workcell::default();

@@ -12,7 +12,7 @@ use pb3dp_cell::cell::SimulatedCell;
 use pb3dp_cell::moving::Moved;
 use pb3dp_cell::percept::Percept;
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_servo::supervisor::{Condition, Confidence, OperatorCommand, State};
+use pb3dp_servo::supervisor::{Condition, Confidence, Event, OperatorCommand, State};
 use pb3dp_sim::joint_dynamics::{AxisMode, JointPlant};
 use system_tests::safety::truth::{ARM_NAMES, ArmTruth, HAND_ARM, Joints, LogLine, Placement, Step, TARGET_ARM, Truth};
 use system_tests::safety::who_may_move::{Moment, Pair, WhoMayMove, Word};
@@ -59,6 +59,8 @@ pub struct Recorder {
     /// Start and end of the scenario's faults, if they have occurred.
     began_at: Vec<Option<MonotonicTime>>,
     ended_at: Vec<Option<MonotonicTime>>,
+    /// The last control step before each fault began.
+    stepped_before: Vec<MonotonicTime>,
     /// When each arm was told to hold last.
     held_at: [Option<MonotonicTime>; 2],
     /// Which faults had an effect.
@@ -111,6 +113,7 @@ impl Recorder {
             spoiled: BTreeSet::new(),
             began_at: vec![None; scenario.faults.len()],
             ended_at: vec![None; scenario.faults.len()],
+            stepped_before: vec![MonotonicTime::ZERO; scenario.faults.len()],
             held_at: [None; 2],
             touched: vec![false; scenario.faults.len()],
             could_stop: vec![false; scenario.faults.len()],
@@ -187,6 +190,7 @@ impl Recorder {
         let is_known = self.scenario.workcell.settings.wire_format == "B" || !kind.is_alarm();
         self.could_stop[index] = may_be_told && misses && is_known && is_on(HAND_ARM) && is_on(TARGET_ARM);
         self.began_at[index] = Some(now);
+        self.stepped_before[index] = self.stepped_at;
     }
 
     /// This fault of the scenario has ended.
@@ -231,10 +235,11 @@ impl Recorder {
 
     /// Time since the last command that could reach the gateway of this arm, seconds.
     fn command_age_s(&self, arm: usize, at: MonotonicTime) -> f64 {
-        let times = self.began_at.iter().zip(&self.ended_at);
-        let kept_since = self.scenario.faults.iter().zip(times).filter_map(|(fault, (began, ended))| {
+        let times = self.began_at.iter().zip(&self.ended_at).zip(&self.stepped_before);
+        let kept_since = self.scenario.faults.iter().zip(times).filter_map(|(fault, ((began, ended), before))| {
             let is_on = began.is_some_and(|began| began <= at) && ended.is_none_or(|ended| ended > at);
-            began.filter(|_| is_on && fault.kind.keeps_commands_from() == Some(arm))
+            // The command of the step in which the fault begins does not arrive.
+            (is_on && fault.kind.keeps_commands_from() == Some(arm)).then_some(*before)
         });
         kept_since.chain([self.stepped_at]).map(|since| at.seconds_since(since)).fold(0.0, f64::max)
     }
@@ -281,11 +286,14 @@ impl Recorder {
         self.step_begins = [due, shown];
     }
 
-    /// Records a control step. Of the decision only a refusal and the status line count.
+    /// Records a control step. Of the decision only a refusal, the report of a stall and the status line count.
     pub fn moved(&mut self, step: &Moved, now: MonotonicTime) {
         let decision = &step.decision;
         if decision.refused.is_some() {
             self.permission.refused();
+        }
+        if let Some(transition) = decision.transition {
+            self.permission.reported(transition.event == Event::StallFound);
         }
         let [true_at, shown_at] = self.step_begins;
         // In format A the state of the drives is not public: only the guard notices that a joint does not follow (docs/safety.md).

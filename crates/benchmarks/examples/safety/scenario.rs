@@ -6,6 +6,7 @@ use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig, S
 
 use crate::cameras;
 use crate::faults::{Fault, Kind};
+use crate::stalls;
 use crate::workcell::Workcell;
 
 /// Length of a run, virtual seconds.
@@ -32,6 +33,13 @@ const MORE: f64 = 0.5;
 const AT_ONCE: f64 = 0.3;
 /// Faults at once begin within this time, seconds.
 const AT_ONCE_S: f64 = 0.05;
+
+/// Draws of the stalls.
+const STALL_DICE: u64 = 0x57a1_1000_0000_0000;
+/// Share of the runs with stalls.
+const STALLS: f64 = 0.5;
+/// Most stalls of a run.
+const STALLS_MAX: usize = 3;
 
 /// Name of the motion of a run that proves a safeguard.
 pub const PROOF: &str = "proof";
@@ -86,7 +94,7 @@ pub struct Scenario {
     pub motion: MotionConfig,
     /// What moves the target.
     pub carrier: Carrier,
-    /// The faults, 1 to 5, in order of time.
+    /// The faults in order of time.
     pub faults: Vec<Fault>,
     /// Duration of the run, seconds.
     pub run_s: f64,
@@ -99,14 +107,28 @@ pub struct Scenario {
 }
 
 impl Scenario {
-    /// The scenario of this seed: that of the first draw in another workcell, with further faults.
+    /// The scenario of this seed: that of the wide draw, in half of the runs with stalls.
     pub fn of(seed: u64) -> Self {
+        let mut scenario = Self::wide(seed);
+        let mut dice = Dice::new(seed ^ STALL_DICE);
+        if dice.unit() < STALLS {
+            for _ in 0..=dice.below(STALLS_MAX) {
+                let from_s = dice.within(FIRST_FAULT_S, RUN_S - LAST_FAULT_S);
+                scenario.faults.extend(stalls::draw(&mut dice, from_s));
+            }
+        }
+        scenario.faults.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
+        scenario
+    }
+
+    /// The scenario of this seed in the wide draw: that of the first draw in another workcell, with further faults.
+    pub fn wide(seed: u64) -> Self {
         let mut scenario = Self::first(seed);
         let mut dice = Dice::new(seed ^ WIDE_DICE);
         scenario.workcell = Workcell::draw(&mut dice);
         if dice.unit() < MORE {
             let from_s = dice.within(FIRST_FAULT_S, RUN_S - LAST_FAULT_S);
-            scenario.faults.push(Fault { kind: Kind::draw_wide(&mut dice), from_s, for_s: dice.within(0.1, 3.0) });
+            scenario.faults.push(Fault::new(Kind::draw_wide(&mut dice), from_s, dice.within(0.1, 3.0)));
         }
         if dice.unit() < AT_ONCE {
             let (first, second) = (dice.below(scenario.faults.len()), dice.below(scenario.faults.len()));
@@ -127,7 +149,7 @@ impl Scenario {
                 let from_s = dice.within(FIRST_FAULT_S, RUN_S - LAST_FAULT_S);
                 // Half of the faults are short: mistakes hide where a fault is almost tolerated.
                 let for_s = if dice.unit() < 0.5 { dice.within(0.01, 0.3) } else { dice.within(0.3, 3.0) };
-                Fault { kind, from_s, for_s }
+                Fault::new(kind, from_s, for_s)
             })
             .collect();
         let mut other = Dice::new(seed ^ OTHER_DICE);
@@ -219,13 +241,16 @@ mod tests {
         let first = Scenario::first(7);
         assert!(first.workcell.lag == [1.0; 2] && first.faults.len() <= 5, "the first draw is without change");
         let runs: Vec<_> = (0..2000).map(Scenario::of).collect();
-        let kinds: BTreeSet<&str> = runs.iter().flat_map(|run| &run.faults).map(|fault| fault.kind.name()).collect();
-        assert_eq!(kinds.len(), Kind::COUNT + cameras::COUNT, "{kinds:?}");
+        let kinds: BTreeSet<&str> = runs.iter().flat_map(|run| &run.faults).map(Fault::name).collect();
+        assert_eq!(kinds.len(), Kind::COUNT + cameras::COUNT + stalls::NAMES.len(), "{kinds:?}");
         assert!((400..600).contains(&runs.iter().filter(|run| run.searches).count()));
         let motions: BTreeSet<&str> = runs.iter().map(|run| run.motion_name).collect();
         assert_eq!(motions.len(), 6);
         for run in &runs {
-            assert!((1..=6).contains(&run.faults.len()));
+            let (stalls, others): (Vec<_>, Vec<_>) = run.faults.iter().partition(|fault| fault.stall.is_some());
+            assert!(stalls.len() <= 2 * STALLS_MAX && (1..=6).contains(&others.len()));
+            let wide = Scenario::wide(run.seed).faults;
+            assert_eq!(format!("{others:?}"), format!("{wide:?}"), "the wide draw is without change");
             assert!(run.faults.iter().all(|fault| fault.from_s >= FIRST_FAULT_S && fault.from_s < RUN_S));
         }
     }

@@ -69,7 +69,7 @@ impl Faults<'_> {
             known_s
         };
         // A latched fault is reported at once, however long its cause lasts.
-        let name = kind.name().to_owned();
+        let name = self.faults[index].name().to_owned();
         Some(Injected { name, from_s: known_s, until_s, had_effect: true, words })
     }
 
@@ -129,7 +129,7 @@ mod tests {
     use system_tests::safety::truth::{ArmTruth, LogLine, Placement, Step};
 
     fn arm(arm: usize, name: &'static str, line: &str, end: Option<&str>) -> Fault {
-        Fault { kind: Kind::of_arm(arm, name, line, end), from_s: 0.0, for_s: 0.0 }
+        Fault::new(Kind::of_arm(arm, name, line, end), 0.0, 0.0)
     }
 
     fn switch() -> Fault {
@@ -215,7 +215,7 @@ mod tests {
         assert_eq!(told(&[alarm(), clock()], &times, &[5.0]), [(2.0, 5.6)]);
         assert!(told(&[alarm(), clock()], &times, &[]).is_empty());
         // A fault that cannot stop an arm excuses nothing, nor one that ended long ago, nor an arm without a report.
-        let blind = Fault { kind: Kind::NoPose, from_s: 0.0, for_s: 0.0 };
+        let blind = Fault::new(Kind::NoPose, 0.0, 0.0);
         assert_eq!(told(&[alarm(), blind], &times, &[5.0]), [(2.0, 2.0)]);
         assert_eq!(told(&[alarm(), clock()], &[times[0], from_to(1.0, 1.8)], &[5.0]), [(2.0, 2.0)]);
         let (faults, silent) = ([alarm(), clock()], truth("fault-found fault"));

@@ -79,6 +79,7 @@ pub fn decision() -> Decision {
         operator: OperatorInput::default(),
         controller: Mode::Idle,
         innovation: Innovation::NoneNew,
+        target_covariance: None,
         estimate: None,
         frame: None,
         range_end: None,

@@ -285,6 +285,7 @@ impl Loop {
                 operator: heard,
                 controller: Mode::Approaching,
                 innovation: Innovation::Agrees,
+                target_covariance: None,
                 estimate: newest.map(|(_, estimate)| estimate),
                 frame: newest.map(|(frame, _)| frame),
                 range_end: None,

@@ -277,6 +277,11 @@ impl Findings {
         self.followed_since
     }
 
+    /// Standard deviations of position and orientation, as the policies compare them.
+    pub(super) fn sigmas(covariance: &Matrix6<f64>) -> [f64; 2] {
+        [0, 3].map(|first| root_of_trace(covariance, first))
+    }
+
     /// The current measurement of this condition.
     pub(super) fn cause(&self, condition: Condition) -> Option<Cause> {
         self.found[condition as usize]

@@ -16,6 +16,9 @@ pub struct Inputs {
     pub controller: Mode,
     /// What the controller did with an observation in this step.
     pub innovation: Innovation,
+    /// Covariance of the predicted target pose at the time of the step, metres and radians, translation first; `None` without a
+    /// prediction.
+    pub target_covariance: Option<Matrix6<f64>>,
     /// The newest estimate; `None` before the first one.
     pub estimate: Option<EstimateInput>,
     /// The newest frame pair; `None` before the first one.

@@ -46,6 +46,12 @@ pub enum Event {
     CauseGone,
     /// The lost target has been observed again for long enough, and the policy allows to resume automatically.
     TargetFound,
+    /// A part stood still for a moment: a hold that keeps the target.
+    StallFound,
+    /// Every part works again, and the target is still certain enough.
+    StallOver,
+    /// The stall is none: it lasts too long, or something else inhibits motion.
+    StallFailed,
     /// A condition with the action hold.
     HoldFound,
     /// The target is lost.
@@ -129,7 +135,7 @@ impl fmt::Display for State {
 
 impl Event {
     /// All events, in the order of the table.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 17] = [
         Self::Select,
         Self::Start,
         Self::Hold,
@@ -140,6 +146,9 @@ impl Event {
         Self::Left,
         Self::CauseGone,
         Self::TargetFound,
+        Self::StallFound,
+        Self::StallOver,
+        Self::StallFailed,
         Self::HoldFound,
         Self::LossFound,
         Self::StopFound,
@@ -159,6 +168,9 @@ impl Event {
             Self::Left => "left",
             Self::CauseGone => "cause-gone",
             Self::TargetFound => "target-found",
+            Self::StallFound => "stall-found",
+            Self::StallOver => "stall-over",
+            Self::StallFailed => "stall-failed",
             Self::HoldFound => "hold-found",
             Self::LossFound => "loss-found",
             Self::StopFound => "stop-found",
@@ -185,19 +197,20 @@ pub fn outcome(state: State, event: Event) -> Outcome {
     const APP: Outcome = To(State::Approaching, Order::None);
     const TRA: Outcome = To(State::Tracking, Order::None);
     const HOLD: Outcome = To(State::Holding, Order::Rearm);
+    const STALL: Outcome = To(State::Holding, Order::None);
     const LOST: Outcome = To(State::Lost, Order::Rearm);
     const STOP: Outcome = To(State::Stopped, Order::RearmAndStop);
     const F: Outcome = To(State::Fault, Order::RearmAndStop);
-    const TABLE: [[Outcome; 14]; 8] = [
-        // Select Start Hold  Resume Stop  Reset Reached Left  CauseGone TargetFound HoldFound LossFound StopFound FaultFound
-        [SEL,     N,    Stay, N,     STOP, Stay, Stay,   Stay, Stay,     Stay,       Stay,     Stay,     STOP,     F],    // Idle
-        [SEL,     APP,  Stay, N,     STOP, Stay, Stay,   Stay, Stay,     Stay,       Stay,     Stay,     STOP,     F],    // Selecting
-        [N,       Stay, HOLD, Stay,  STOP, Stay, TRA,    Stay, Stay,     Stay,       HOLD,     LOST,     STOP,     F],    // Approaching
-        [N,       Stay, HOLD, Stay,  STOP, Stay, Stay,   APP,  Stay,     Stay,       HOLD,     LOST,     STOP,     F],    // Tracking
-        [SEL,     N,    Stay, APP,   STOP, Stay, Stay,   Stay, APP,      Stay,       Stay,     LOST,     STOP,     F],    // Holding
-        [SEL,     N,    Stay, APP,   STOP, Stay, Stay,   Stay, Stay,     APP,        Stay,     Stay,     STOP,     F],    // Lost
-        [N,       N,    Stay, N,     Stay, IDLE, Stay,   Stay, Stay,     Stay,       Stay,     Stay,     Stay,     F],    // Stopped
-        [N,       N,    Stay, N,     Stay, IDLE, Stay,   Stay, Stay,     Stay,       Stay,     Stay,     Stay,     Stay], // Fault
+    const TABLE: [[Outcome; 17]; 8] = [
+        // Select Start Hold  Resume Stop  Reset Reached Left  CauseGone TargetFound StallFound StallOver StallFailed HoldFound LossFound StopFound FaultFound
+        [SEL,     N,    Stay, N,     STOP, Stay, Stay,   Stay, Stay,     Stay,       Stay,      Stay,     Stay,       Stay,     Stay,     STOP,     F],    // Idle
+        [SEL,     APP,  Stay, N,     STOP, Stay, Stay,   Stay, Stay,     Stay,       Stay,      Stay,     Stay,       Stay,     Stay,     STOP,     F],    // Selecting
+        [N,       Stay, HOLD, Stay,  STOP, Stay, TRA,    Stay, Stay,     Stay,       STALL,     Stay,     Stay,       HOLD,     LOST,     STOP,     F],    // Approaching
+        [N,       Stay, HOLD, Stay,  STOP, Stay, Stay,   APP,  Stay,     Stay,       STALL,     Stay,     Stay,       HOLD,     LOST,     STOP,     F],    // Tracking
+        [SEL,     N,    Stay, APP,   STOP, Stay, Stay,   Stay, APP,      Stay,       Stay,      APP,      HOLD,       Stay,     LOST,     STOP,     F],    // Holding
+        [SEL,     N,    Stay, APP,   STOP, Stay, Stay,   Stay, Stay,     APP,        Stay,      Stay,     Stay,       Stay,     Stay,     STOP,     F],    // Lost
+        [N,       N,    Stay, N,     Stay, IDLE, Stay,   Stay, Stay,     Stay,       Stay,      Stay,     Stay,       Stay,     Stay,     Stay,     F],    // Stopped
+        [N,       N,    Stay, N,     Stay, IDLE, Stay,   Stay, Stay,     Stay,       Stay,      Stay,     Stay,       Stay,     Stay,     Stay,     Stay], // Fault
     ];
     TABLE[state as usize][event as usize]
 }

@@ -181,7 +181,7 @@ impl Why {
                 write!(f, "{state}: {cause}; {}, then use resume", remedy(cause))
             }
             Self::Resting { state, cause, then: Then::ByItself { after_s } } => {
-                write!(f, "{state}: {cause}; {}; resumes by itself {after_s} s after the cause is gone", remedy(cause))
+                write!(f, "{state}: {cause}; {}; resumes by itself {}", remedy(cause), After(*after_s))
             }
             Self::CauseGone { state, cause, then: Then::Resume } => {
                 write!(f, "{state}: {}; use resume", Gone(&Some(*cause)))
@@ -267,6 +267,18 @@ fn instead(state: State) -> &'static str {
         State::Approaching | State::Tracking => ", the hand already follows the target; use hold or stop",
         State::Holding | State::Lost => "; use resume",
         State::Stopped | State::Fault => "; use reset first",
+    }
+}
+
+/// When the arm resumes, seconds after the cause is gone.
+struct After(f64);
+
+impl fmt::Display for After {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0 {
+            0.0 => f.write_str("as soon as the cause is gone"),
+            after_s => write!(f, "{after_s} s after the cause is gone"),
+        }
     }
 }
 

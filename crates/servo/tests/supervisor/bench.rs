@@ -72,6 +72,7 @@ pub fn good(now_s: f64) -> Inputs {
         operator: OperatorInput { heard_at: Some(at(now_s)), ..OperatorInput::default() },
         controller: Mode::Tracking,
         innovation: Innovation::Agrees,
+        target_covariance: None,
         estimate: Some(EstimateInput {
             at: exposed_at,
             confidence: Confidence::Sure,

@@ -8,6 +8,7 @@ mod policies;
 mod properties;
 mod searching;
 mod settling;
+mod stalls;
 mod starting;
 mod table;
 mod words;

@@ -148,6 +148,7 @@ impl Told {
             },
             controller: step.mode,
             innovation: step.innovation,
+            target_covariance: Some(Matrix6::from_diagonal_element(step.variance)),
             estimate: self.estimate,
             frame: self.frame,
             range_end: Some(RangeEnd { joint: 2, distance_rad: step.distance_rad }),

@@ -23,6 +23,10 @@ fn expected(state: State, event: Event) -> Outcome {
         Start | Resume => Refuse,
         Hold | HoldFound if moving => To(Holding, Order::Rearm),
         Hold | HoldFound => Stay,
+        StallFound if moving => To(Holding, Order::None),
+        StallFailed if state == Holding => To(Holding, Order::Rearm),
+        StallOver if state == Holding => To(Approaching, Order::None),
+        StallFound | StallFailed | StallOver => Stay,
         LossFound if moving || state == Holding => To(Lost, Order::Rearm),
         LossFound => Stay,
         Reached if state == Approaching => To(Tracking, Order::None),
@@ -67,7 +71,7 @@ fn motion_begins_by_start_resume_or_what_a_policy_lets_go_on_and_by_nothing_else
         for event in Event::ALL {
             let Outcome::To(to, _) = outcome(state, event) else { continue };
             if to.is_moving() {
-                let begins = [Event::Start, Event::Resume, Event::CauseGone, Event::TargetFound];
+                let begins = [Event::Start, Event::Resume, Event::CauseGone, Event::TargetFound, Event::StallOver];
                 assert!(begins.contains(&event), "{event}");
                 assert!(matches!(state, State::Selecting | State::Holding | State::Lost), "{state}");
                 assert_eq!(to, State::Approaching, "not immediately at the speed of tracking");
@@ -81,7 +85,8 @@ fn whatever_ends_motion_drops_the_set_points() {
     for state in State::ALL.into_iter().filter(|state| state.is_moving()) {
         for event in Event::ALL {
             let Outcome::To(to, order) = outcome(state, event) else { continue };
-            assert_eq!(order != Order::None, !to.is_moving(), "{state}, {event}");
+            // Only a hold for a stall keeps the target.
+            assert_eq!(order != Order::None, !to.is_moving() && event != Event::StallFound, "{state}, {event}");
             assert_eq!(order == Order::RearmAndStop, to.is_latched(), "{state}, {event}");
         }
     }

@@ -137,10 +137,13 @@ impl Worker {
             return;
         }
         self.progress.command = slot.ticket;
-        // Expired commands expire before a new velocity could hide it. Their age counts from the time at which they were given.
-        self.driver.handle_timeout(now);
+        // Expired commands expire before a new one could hide it. Ages count from and to the times at which commands were given: one that
+        // was given in time is not late because this thread reads it at its next turn.
+        self.driver.handle_timeout(slot.at);
         let (at, request) = match slot.command {
-            JointCommand::Hold => (now, Request::Hold),
+            // The ramp of an older one begins now.
+            JointCommand::Hold if now.saturating_since(slot.at) > self.cycle => (now, Request::Hold),
+            JointCommand::Hold => (slot.at, Request::Hold),
             JointCommand::Velocity(velocity) => (slot.at, Request::Move(velocity)),
         };
         // Refused in a state without motion: its owner sees the state.

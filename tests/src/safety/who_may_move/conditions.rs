@@ -143,6 +143,17 @@ impl Conditions {
         self.clear_since_s.is_some_and(|since_s| self.confirmed_s - since_s >= for_s - ROUNDING_S)
     }
 
+    /// Whether nothing inhibits motion now.
+    pub fn is_clear(&self) -> bool {
+        self.clear_since_s.is_some()
+    }
+
+    /// Whether nothing inhibits motion but images and estimates that have not come.
+    pub fn are_only_parts_still(&self) -> bool {
+        let is_other = self.is_disordered || self.skewed_since_s.is_some() || self.uncertain_since_s.is_some();
+        !(is_other || self.is_lost || self.is_silent || self.needs_operator())
+    }
+
     /// Whether a condition holds the hand until it has gone.
     pub fn holds(&self) -> bool {
         self.lasts

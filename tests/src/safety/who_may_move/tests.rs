@@ -3,6 +3,7 @@
 use super::*;
 
 /// Control steps of 10 ms, and a confident pair every 30 ms that is 70 ms old.
+#[derive(Clone)]
 struct Cell {
     model: WhoMayMove,
     /// True time, and what the clock of the control loop adds.
@@ -287,4 +288,107 @@ fn a_hand_searches_once_for_some_time_and_not_while_it_is_held() {
     cell.pairs = false;
     cell.run(2.0);
     assert!(!cell.model.may_search(cell.t_s));
+}
+
+/// A hand that holds because pairs do not come, which is reported as a stall.
+fn stalled() -> Cell {
+    let mut cell = Cell::going();
+    cell.run(1.5);
+    stall(&mut cell);
+    cell
+}
+
+/// Pairs do not come any more, and a stall is reported in the step from which on the hand is inhibited.
+fn stall(cell: &mut Cell) {
+    cell.pairs = false;
+    while !cell.model.is_hand_inhibited(cell.t_s) {
+        assert!(cell.t_s < 10.0);
+        let before = cell.clone();
+        cell.step();
+        if cell.model.is_hand_inhibited(cell.t_s) {
+            *cell = before;
+            cell.model.reported(true);
+            cell.step();
+        }
+    }
+}
+
+/// The next pair comes with the report that the stall is over.
+fn over(cell: &mut Cell) {
+    cell.pairs = true;
+    while !(cell.count + 1).is_multiple_of(3) {
+        cell.count += 1;
+    }
+    cell.model.reported(false);
+    cell.step();
+}
+
+#[test]
+fn a_stall_ends_as_soon_as_pairs_come_and_only_if_it_is_reported() {
+    let mut cell = stalled();
+    assert!(!cell.may()[0]);
+    cell.run(0.15);
+    assert!(!cell.may()[0]);
+    over(&mut cell);
+    assert_eq!(cell.may(), [true; 2]);
+    // The same without a report that it is over.
+    let mut cell = stalled();
+    cell.pairs = true;
+    cell.run(0.05);
+    assert!(!cell.may()[0]);
+    // A hold that is not reported as a stall.
+    let mut cell = Cell::going();
+    cell.pairs = false;
+    cell.run(0.3);
+    over(&mut cell);
+    assert!(!cell.may()[0]);
+    cell.run(0.3);
+    assert!(cell.may()[0]);
+}
+
+#[test]
+fn a_stall_that_is_long_or_soon_after_another_one_is_a_hold() {
+    let mut cell = stalled();
+    cell.run(0.32);
+    over(&mut cell);
+    assert!(!cell.may()[0], "longer than 0.3 s");
+    for (pause_s, may_go) in [(0.5, false), (1.3, true)] {
+        let mut cell = stalled();
+        over(&mut cell);
+        cell.run(pause_s - 0.2);
+        stall(&mut cell);
+        cell.run(0.1);
+        assert!(!cell.may()[0], "no pairs");
+        over(&mut cell);
+        assert_eq!(cell.may()[0], may_go, "{pause_s} s after the last one");
+    }
+}
+
+/// Whatever else inhibits motion makes a stall a hold, even if it is gone when the pairs come.
+#[test]
+fn another_condition_or_a_command_makes_a_stall_a_hold() {
+    type Change = fn(&mut Cell);
+    let cases: [(&str, Change); 4] = [
+        ("exposures", |cell| cell.pair.skew_s = 0.006),
+        ("uncertain position", |cell| cell.pair.sigma = [0.021, 0.0]),
+        ("order of the images", |cell| cell.pair.number -= 5),
+        ("another target", |cell| cell.pair.target = 2),
+    ];
+    for (name, change) in cases {
+        let mut cell = stalled();
+        let pair = cell.pair;
+        change(&mut cell);
+        over(&mut cell);
+        assert!(!cell.may()[0], "{name}");
+        cell.pair = Pair { number: cell.pair.number.max(pair.number), ..pair };
+        over(&mut cell);
+        assert!(!cell.may()[0], "{name}");
+    }
+    for word in [Word::Hold, Word::HoldHand, Word::Stop] {
+        let mut cell = stalled();
+        cell.say(word);
+        over(&mut cell);
+        cell.run(2.0);
+        assert!(!cell.may()[0], "{word:?}");
+    }
 }

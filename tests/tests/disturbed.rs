@@ -1,0 +1,308 @@
+//! Runs of the whole program in simulated time, with arms that are emulated byte by byte, in which one part stands still for a
+//! while.
+
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use anyhow::{Context, Result};
+use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
+use pb3dp_cell::cell::{FreeTarget, SimulatedCell};
+use pb3dp_cell::halves::{Course, Mover, Watcher};
+use pb3dp_cell::looking::Looking;
+use pb3dp_cell::moving::{Moved, Moving};
+use pb3dp_cell::percept::Percept;
+use pb3dp_cell::strip::Strip;
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::Clock;
+use pb3dp_servo::supervisor::{Permission, State, Why};
+use pb3dp_setup::setup::{Carrier, Leader, Pace, Setup, read_setup};
+use pb3dp_sim::trajectory::MotionConfig;
+use pb3dp_wiring::{Wired, wire_cell};
+
+use system_tests::repository;
+
+/// Interval of the recorded true poses.
+const SAMPLED: Duration = Duration::from_millis(2);
+
+/// A part that can stand still.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// The control thread makes no step.
+    Host,
+    /// No estimate arrives; then the newest one, late.
+    Estimator,
+    /// No pair is exposed.
+    Camera,
+    /// The line to the arm that carries the cameras transports nothing.
+    Link,
+}
+
+/// What is wrong in a run.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Disturbance {
+    /// Nothing.
+    #[default]
+    None,
+    /// A part stands still.
+    Stall {
+        /// The part.
+        part: Part,
+        /// When it begins, seconds since the first control step.
+        from_s: f64,
+        /// Its length, seconds.
+        for_s: f64,
+    },
+}
+
+/// The true state of the cell at a time.
+#[derive(Clone, Copy, Debug)]
+pub struct TruePlace {
+    /// Seconds since the first control step.
+    pub t_s: f64,
+    /// Position of the hand in the world, mm.
+    pub hand_mm: nalgebra::Vector3<f64>,
+}
+
+/// A control step.
+#[derive(Clone, Copy, Debug)]
+pub struct Decided {
+    /// Seconds since the first control step.
+    pub t_s: f64,
+    /// State of the supervisor.
+    pub state: State,
+    /// Its permission.
+    pub permission: Permission,
+    /// Its reason.
+    pub why: Why,
+}
+
+/// The course of a run.
+#[derive(Debug, Default)]
+pub struct Ran {
+    /// True places, every 2 ms.
+    pub places: Vec<TruePlace>,
+    /// Decisions of the supervisor.
+    pub decided: Vec<Decided>,
+    /// Why the run ended early.
+    pub ended: Option<String>,
+}
+
+/// The setup `hil` in simulated time and without images, with a target that no arm carries.
+///
+/// # Errors
+/// If the file cannot be read.
+pub fn setup(motion: MotionConfig) -> Result<Setup> {
+    let mut setup = read_setup(&repository().join("configs/hil.toml"))?;
+    setup.pace = Pace::Fast;
+    setup.compared.clear();
+    setup.leader = Leader::Geometric(setup.geometric.context("configs/hil.toml has no table estimator.geometric")?);
+    setup.experiment.carrier = Carrier::Nothing;
+    setup.experiment.motion = motion;
+    Ok(setup)
+}
+
+/// Runs a setup for some seconds with a disturbance.
+///
+/// # Errors
+/// If it cannot be built; a run that ends early is no error.
+pub fn run(setup: &Setup, disturbance: Disturbance, for_s: f64) -> Result<Ran> {
+    let Wired { parts, virtual_ends, .. } = wire_cell(setup, |cell, start| {
+        let motion = setup.experiment.motion.begin_at(start)?;
+        cell.free_target = Some(FreeTarget::new(Arc::clone(&motion)));
+        Ok(motion)
+    })?;
+    let clock = Arc::clone(&parts.clock);
+    let cell = parts.cell.clone();
+    let looking =
+        Looking::new(setup, (parts.camera, parts.cell, parts.marking), (Strip::default(), &parts.clock), None)?;
+    let moving = Moving::new(setup, (parts.vs, parts.tc), &*parts.experiment, clock.now())?;
+    let ran: Arc<Mutex<Ran>> = Arc::default();
+    let mut watching =
+        Watching { looking, cell: cell.clone(), disturbance, clock: Arc::clone(&clock), begin: clock.now() };
+    let mut disturbed = Disturbed {
+        inner: moving,
+        disturbance,
+        clock: Arc::clone(&clock),
+        cell,
+        ends: virtual_ends.into_iter().map(|(_, end)| end).collect(),
+        begin: clock.now(),
+        sampled: clock.now(),
+        progress: Progress::Before,
+        waiting: Vec::new(),
+        ran: Arc::clone(&ran),
+    };
+    let interrupt = AtomicBool::new(false);
+    let duration = Duration::from_secs_f64(for_s);
+    let course = Course { setup, clock: &clock, duration, interrupt: &interrupt };
+    let ended = course.run_in_lockstep(&mut watching, &mut disturbed).err().map(|error| format!("{error:#}"));
+    disturbed.sample();
+    let ran = std::mem::take(&mut *ran.lock().unwrap_or_else(PoisonError::into_inner));
+    Ok(Ran { ended, ..ran })
+}
+
+impl Ran {
+    /// Largest distance between the hands of two runs from a time on, mm, and the time from which on it stays within `within_mm`, seconds
+    /// after `from_s`; infinite if it does not.
+    pub fn beside(&self, other: &Self, (from_s, within_mm): (f64, f64)) -> (f64, f64) {
+        let pairs = self.places.iter().zip(&other.places).filter(|(place, _)| place.t_s >= from_s);
+        let (mut most_mm, mut outside_s) = (0.0_f64, from_s);
+        let mut last_s = from_s;
+        for (own, other) in pairs {
+            let apart_mm = (own.hand_mm - other.hand_mm).norm();
+            most_mm = most_mm.max(apart_mm);
+            last_s = own.t_s;
+            if apart_mm > within_mm {
+                outside_s = own.t_s;
+            }
+        }
+        let back_s = if outside_s >= last_s { f64::INFINITY } else { outside_s - from_s };
+        (most_mm, back_s)
+    }
+
+    /// First time at or after `from_s` at which the supervisor does not permit motion, seconds.
+    pub fn held_at(&self, from_s: f64) -> Option<&Decided> {
+        self.decided.iter().find(|step| step.t_s >= from_s && !matches!(step.permission, Permission::Move { .. }))
+    }
+}
+
+/// The vision half, without pairs while the camera stands still.
+struct Watching<'a> {
+    looking: Looking<'a>,
+    cell: SimulatedCell,
+    disturbance: Disturbance,
+    clock: Arc<dyn Clock>,
+    begin: MonotonicTime,
+}
+
+impl Watcher for Watching<'_> {
+    type Step = Moved;
+
+    fn begin_at(&mut self, begin: MonotonicTime) {
+        self.cell.begin_at(begin);
+        self.looking.begin_at(begin);
+        self.begin = begin;
+    }
+
+    fn moved(&mut self, step: &Moved) {
+        self.looking.push_joints(step.vs_joints);
+    }
+
+    fn look(&mut self) -> Result<Option<Percept>> {
+        let seen = self.looking.look()?.map(|seen| seen.percept());
+        let stands = self.disturbance.stands(Part::Camera, self.clock.now().seconds_since(self.begin));
+        Ok(seen.filter(|_| !stands))
+    }
+
+    fn note(&mut self) -> Result<()> {
+        Ok(())
+    }
+}
+
+impl Disturbance {
+    fn stands(&self, wanted: Part, t_s: f64) -> bool {
+        matches!(*self, Self::Stall { part, from_s, for_s } if part == wanted && (from_s..from_s + for_s).contains(&t_s))
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Progress {
+    Before,
+    Within,
+    Over,
+}
+
+/// The motion half with its disturbance, and the record of what is true.
+struct Disturbed<'a> {
+    inner: Moving<'a>,
+    disturbance: Disturbance,
+    clock: Arc<dyn Clock>,
+    cell: SimulatedCell,
+    ends: Vec<VirtualEnd>,
+    begin: MonotonicTime,
+    sampled: MonotonicTime,
+    progress: Progress,
+    /// Percepts that have not arrived, and when they do.
+    waiting: Vec<(MonotonicTime, Percept)>,
+    ran: Arc<Mutex<Ran>>,
+}
+
+impl Mover for Disturbed<'_> {
+    type Step = Moved;
+
+    fn enable(&mut self) -> Result<bool> {
+        self.inner.enable()
+    }
+
+    fn begin_at(&mut self, begin: MonotonicTime) {
+        (self.begin, self.sampled) = (begin, begin);
+        self.inner.begin_at(begin);
+    }
+
+    fn observe(&mut self, percept: Percept, now: MonotonicTime) {
+        match self.disturbance {
+            Disturbance::Stall { part: Part::Estimator, from_s, for_s }
+                if self.disturbance.stands(Part::Estimator, now.seconds_since(self.begin)) =>
+            {
+                // Only the newest pair is estimated afterwards.
+                self.waiting = vec![(self.begin + Duration::from_secs_f64(from_s + for_s), percept)];
+            }
+            _ => self.inner.observe(percept, now),
+        }
+    }
+
+    fn step(&mut self, now: MonotonicTime) -> Result<Moved> {
+        self.disturb(now)?;
+        while let Some(index) = self.waiting.iter().position(|(due, _)| *due <= now) {
+            let (_, percept) = self.waiting.remove(index);
+            self.inner.observe(percept, now);
+        }
+        let moved = self.inner.step(self.clock.now())?;
+        self.sample();
+        let decision = moved.decision;
+        let t_s = now.seconds_since(self.begin);
+        let step = Decided { t_s, state: decision.state, permission: decision.permission, why: decision.why };
+        self.ran.lock().unwrap_or_else(PoisonError::into_inner).decided.push(step);
+        Ok(moved)
+    }
+
+    fn stop(&mut self) -> Result<()> {
+        self.inner.stop()
+    }
+}
+
+impl Disturbed<'_> {
+    fn disturb(&mut self, now: MonotonicTime) -> Result<()> {
+        let t_s = now.seconds_since(self.begin);
+        let Disturbance::Stall { part, from_s, for_s } = self.disturbance else { return Ok(()) };
+        match self.progress {
+            Progress::Before if t_s >= from_s => self.progress = Progress::Within,
+            Progress::Within if t_s >= from_s + for_s => self.progress = Progress::Over,
+            _ => return Ok(()),
+        }
+        match (part, self.progress) {
+            (Part::Host, Progress::Within) => {
+                self.clock.sleep_until(self.begin + Duration::from_secs_f64(from_s + for_s));
+            }
+            (Part::Link, progress) => {
+                let word = if progress == Progress::Within { "on" } else { "off" };
+                self.ends[0].command_line(&format!("line silence {word}"))?;
+                self.ends[0].command_line(&format!("line deaf {word}"))?;
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// Records the true places since the last ones.
+    fn sample(&mut self) {
+        let mut ran = self.ran.lock().unwrap_or_else(PoisonError::into_inner);
+        let now = self.clock.now();
+        while self.sampled <= now {
+            let at = self.sampled;
+            let hand_mm = self.cell.world_from_hand_at(at).translation_m() * 1e3;
+            ran.places.push(TruePlace { t_s: at.seconds_since(self.begin), hand_mm });
+            self.sampled = self.sampled + SAMPLED;
+        }
+    }
+}
