@@ -193,14 +193,15 @@ impl PeriodSearch<'_> {
         let by = self.in_cam(shift);
         let factor = 1.0 / f64::from(1_u32 << level);
         let (width, height) = self.left.size(level);
+        let (width, height) = (width as i32, height as i32);
         let mut parts = [Brightness::default(); 2];
         for (sample, own) in samples.iter().zip(own).filter(|(_, own)| own.is_finite()) {
             let px = self.shifted_px(sample, &by);
-            let inside = self.region.contains(px[0].round() as i32, px[1].round() as i32);
+            let inside = self.region.contains(nearest(px[0]), nearest(px[1]));
             // Rounded: (px - origin + 0.5) / side - 0.5.
-            let x = ((px[0] - f64::from(self.left.window.x) + 0.5) * factor).floor();
-            let y = ((px[1] - f64::from(self.left.window.y) + 0.5) * factor).floor();
-            if x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64 {
+            let x = below((px[0] - f64::from(self.left.window.x) + 0.5) * factor);
+            let y = below((px[1] - f64::from(self.left.window.y) + 0.5) * factor);
+            if (0..width).contains(&x) && (0..height).contains(&y) {
                 let other = self.left.texel(level, x as usize, y as usize)[0];
                 parts[usize::from(inside)].add(*own, other);
             }
@@ -260,6 +261,17 @@ impl PeriodSearch<'_> {
         let (inside, all) = (enough(&inside, INSIDE_MIN), enough(&all, IN_IMAGE_MIN));
         inside.zip(all).map(|(inside, all)| inside.max(all)).or(inside).or(all)
     }
+}
+
+/// The largest whole number that is not above a pixel; a pixel far outside of any image stays outside. Without a call of a library.
+fn below(px: f64) -> i32 {
+    const FAR: i32 = 1 << 20;
+    ((px + f64::from(FAR)) as i32).saturating_sub(FAR)
+}
+
+/// The nearest whole number of a pixel, as [`below`].
+fn nearest(px: f64) -> i32 {
+    below(px + 0.5)
 }
 
 /// Sums for a correlation of brightness.

@@ -62,6 +62,11 @@ fn choose(aligner: &mut Aligner, problem: &mut Problem<'_>, estimate: &Estimate,
     let count = (REACH_SIGMAS * sigma_px / STEP_PX).ceil() as i32;
     let candidates_px: Vec<f64> = (-count..=count).map(|i| f64::from(i) * STEP_PX).collect();
     let patches = problem.surface.relief.patches();
+    let patch_of_lane: [Vec<usize>; LEVELS_USED] = std::array::from_fn(|level| {
+        let places = problem.surface.levels[level].places.iter();
+        let pixels = places.flat_map(|place| (0..LANES).map(move |i| place.pixel.map(|x| f64::from(x.0[i]))));
+        patches_of(&problem.surface.relief, pixels)
+    });
     let mut correlations = vec![vec![Correlation::default(); candidates_px.len()]; patches];
     for (index, &offset_px) in candidates_px.iter().enumerate() {
         problem.surface.relief.set_all(offset_px);
@@ -71,11 +76,9 @@ fn choose(aligner: &mut Aligner, problem: &mut Problem<'_>, estimate: &Estimate,
                 continue;
             }
             let weight = if level == 0 { 1.0 } else { 2.0 };
-            for (group, seen) in aligner.seen[level].iter().enumerate() {
-                let view = &problem.view.levels[level][group];
-                let place = &problem.surface.levels[level].places[group];
-                let pixels = (0..LANES).map(|i| place.pixel.map(|x| f64::from(x.0[i])));
-                for (i, patch) in patches_of(&problem.surface.relief, pixels).into_iter().enumerate() {
+            let groups = aligner.seen[level].iter().zip(&problem.view.levels[level]);
+            for ((seen, view), patch_of_lane) in groups.zip(patch_of_lane[level].chunks_exact(LANES)) {
+                for (i, &patch) in patch_of_lane.iter().enumerate() {
                     if patch < patches && seen[1].valid.0[i] * view.valid.0[i] > 0.0 {
                         let (kept, now) = (view.value.map(|v| v.0[i]), seen[1].value.map(|v| v.0[i]));
                         correlations[patch][index].add(weight, kept, now);
