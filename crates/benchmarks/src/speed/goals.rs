@@ -41,8 +41,11 @@ pub fn goals(findings: &super::Findings) -> Vec<Goal> {
         let found_ms = real.row_measurement.median_ms;
         goals.push(Goal { name: "vertical misalignment, once per rig, median", limit_ms: 20.0, found_ms });
     }
-    let followed = &findings.tracking.followed;
-    goals.push(Goal { name: "tracking frame, median", limit_ms: 1.0, found_ms: followed.median_ms });
-    goals.push(Goal { name: "tracking frame, 99th percentile", limit_ms: 2.0, found_ms: followed.p99_ms });
+    let tracking = &findings.tracking;
+    let (followed, lost) = (&tracking.followed, &tracking.lost);
+    goals.push(Goal { name: "tracking frame, median", limit_ms: 0.9, found_ms: followed.median_ms });
+    goals.push(Goal { name: "tracking frame, 99th percentile", limit_ms: 1.5, found_ms: followed.p99_ms });
+    goals.push(Goal { name: "frame of a lost target, median", limit_ms: 5.0, found_ms: lost.median_ms });
+    goals.push(Goal { name: "first frame of a track", limit_ms: 80.0, found_ms: tracking.start_ms });
     goals
 }
