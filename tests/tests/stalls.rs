@@ -67,6 +67,17 @@ fn a_stall_of_160_ms_of_cameras_or_estimator_costs_30_mm_and_less() {
     }
 }
 
+/// A line that loses fewer than three exchanges in a row.
+#[test]
+fn a_stall_of_20_ms_of_the_line_costs_2_mm_and_less() {
+    let setup = following();
+    let undisturbed = ran(&setup, Disturbance::None);
+    let stalled = ran(&setup, stall(Part::Link, AT_S, 20));
+    let (most_mm, _) = stalled.beside(&undisturbed, (AT_S, BACK_MM));
+    println!("line: {most_mm:.1} mm");
+    assert!(stalled.ended.is_none() && (0.2..2.0).contains(&most_mm), "{most_mm} mm, {:?}", stalled.ended);
+}
+
 /// A host that is silent for longer than the watchdog of the arm allows is no stall: the arm is stopped and latched, as before.
 #[test]
 fn a_host_that_is_silent_for_60_ms_still_latches_the_arm() {

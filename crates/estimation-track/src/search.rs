@@ -312,13 +312,14 @@ fn score_at_border(template: &[TemplatePoint], plane: &TexelPlane, [x, y]: [usiz
             continue;
         }
         let texel = &plane.texels[row as usize * plane.width + column as usize];
+        let value = &value.0;
         count += 1.0;
         for c in 0..CHANNELS {
-            sums.view[c] += value.0[c];
+            sums.view[c] += value[c];
             sums.image[c] += texel[c];
-            sums.view_squared[c] += value.0[c] * value.0[c];
+            sums.view_squared[c] += value[c] * value[c];
             sums.image_squared[c] += texel[c] * texel[c];
-            sums.product[c] += value.0[c] * texel[c];
+            sums.product[c] += value[c] * texel[c];
         }
     }
     if count < template.len() as f32 * VISIBLE_MIN as f32 {
