@@ -1,8 +1,8 @@
 //! Runs of the whole program in simulated time, with arms that are emulated byte by byte, in which one part stands still for a
 //! while.
 
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use anyhow::{Context, Result};
@@ -38,21 +38,26 @@ pub enum Part {
     Link,
 }
 
-/// What is wrong in a run.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub enum Disturbance {
-    /// Nothing.
-    #[default]
-    None,
-    /// A part stands still.
-    Stall {
-        /// The part.
-        part: Part,
-        /// When it begins, seconds since the first control step.
-        from_s: f64,
-        /// Its length, seconds.
-        for_s: f64,
-    },
+/// A part stands still.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stall {
+    /// The part.
+    pub part: Part,
+    /// When it begins, seconds since the first control step.
+    pub from_s: f64,
+    /// Its length, seconds.
+    pub for_s: f64,
+}
+
+impl Stall {
+    fn until_s(&self) -> f64 {
+        self.from_s + self.for_s
+    }
+
+    /// Whether this part stands still.
+    fn stops(&self, part: Part, t_s: f64) -> bool {
+        self.part == part && (self.from_s..self.until_s()).contains(&t_s)
+    }
 }
 
 /// The true state of the cell at a time.
@@ -102,11 +107,11 @@ pub fn setup(motion: MotionConfig) -> Result<Setup> {
     Ok(setup)
 }
 
-/// Runs a setup for some seconds with a disturbance.
+/// Runs a setup for some seconds.
 ///
 /// # Errors
 /// If it cannot be built; a run that ends early is no error.
-pub fn run(setup: &Setup, disturbance: Disturbance, for_s: f64) -> Result<Ran> {
+pub fn run(setup: &Setup, stall: Option<Stall>, for_s: f64) -> Result<Ran> {
     let Wired { parts, virtual_ends, .. } = wire_cell(setup, |cell, start| {
         let motion = setup.experiment.motion.begin_at(start)?;
         cell.free_target = Some(FreeTarget::new(Arc::clone(&motion)));
@@ -117,28 +122,25 @@ pub fn run(setup: &Setup, disturbance: Disturbance, for_s: f64) -> Result<Ran> {
     let looking =
         Looking::new(setup, (parts.camera, parts.cell, parts.marking), (Strip::default(), &parts.clock), None)?;
     let moving = Moving::new(setup, (parts.vs, parts.tc), &*parts.experiment, clock.now())?;
-    let ran: Arc<Mutex<Ran>> = Arc::default();
-    let mut watching =
-        Watching { looking, cell: cell.clone(), disturbance, clock: Arc::clone(&clock), begin: clock.now() };
+    let mut watching = Watching { looking, cell: cell.clone(), stall, clock: Arc::clone(&clock), begin: clock.now() };
     let mut disturbed = Disturbed {
         inner: moving,
-        disturbance,
+        stall,
         clock: Arc::clone(&clock),
         cell,
         ends: virtual_ends.into_iter().map(|(_, end)| end).collect(),
         begin: clock.now(),
         sampled: clock.now(),
         progress: Progress::Before,
-        waiting: Vec::new(),
-        ran: Arc::clone(&ran),
+        waiting: None,
+        ran: Ran::default(),
     };
     let interrupt = AtomicBool::new(false);
     let duration = Duration::from_secs_f64(for_s);
     let course = Course { setup, clock: &clock, duration, interrupt: &interrupt };
     let ended = course.run_in_lockstep(&mut watching, &mut disturbed).err().map(|error| format!("{error:#}"));
     disturbed.sample();
-    let ran = std::mem::take(&mut *ran.lock().unwrap_or_else(PoisonError::into_inner));
-    Ok(Ran { ended, ..ran })
+    Ok(Ran { ended, ..disturbed.ran })
 }
 
 impl Ran {
@@ -170,7 +172,7 @@ impl Ran {
 struct Watching<'a> {
     looking: Looking<'a>,
     cell: SimulatedCell,
-    disturbance: Disturbance,
+    stall: Option<Stall>,
     clock: Arc<dyn Clock>,
     begin: MonotonicTime,
 }
@@ -190,18 +192,12 @@ impl Watcher for Watching<'_> {
 
     fn look(&mut self) -> Result<Option<Percept>> {
         let seen = self.looking.look()?.map(|seen| seen.percept());
-        let stands = self.disturbance.stands(Part::Camera, self.clock.now().seconds_since(self.begin));
-        Ok(seen.filter(|_| !stands))
+        let t_s = self.clock.now().seconds_since(self.begin);
+        Ok(seen.filter(|_| !self.stall.is_some_and(|stall| stall.stops(Part::Camera, t_s))))
     }
 
     fn note(&mut self) -> Result<()> {
         Ok(())
-    }
-}
-
-impl Disturbance {
-    fn stands(&self, wanted: Part, t_s: f64) -> bool {
-        matches!(*self, Self::Stall { part, from_s, for_s } if part == wanted && (from_s..from_s + for_s).contains(&t_s))
     }
 }
 
@@ -212,19 +208,19 @@ enum Progress {
     Over,
 }
 
-/// The motion half with its disturbance, and the record of what is true.
+/// The motion half with its stall, and the record of what is true.
 struct Disturbed<'a> {
     inner: Moving<'a>,
-    disturbance: Disturbance,
+    stall: Option<Stall>,
     clock: Arc<dyn Clock>,
     cell: SimulatedCell,
     ends: Vec<VirtualEnd>,
     begin: MonotonicTime,
     sampled: MonotonicTime,
     progress: Progress,
-    /// Percepts that have not arrived, and when they do.
-    waiting: Vec<(MonotonicTime, Percept)>,
-    ran: Arc<Mutex<Ran>>,
+    /// The newest percept that has not arrived, and when it does: the estimator leaves older pairs out.
+    waiting: Option<(MonotonicTime, Percept)>,
+    ran: Ran,
 }
 
 impl Mover for Disturbed<'_> {
@@ -240,12 +236,9 @@ impl Mover for Disturbed<'_> {
     }
 
     fn observe(&mut self, percept: Percept, now: MonotonicTime) {
-        match self.disturbance {
-            Disturbance::Stall { part: Part::Estimator, from_s, for_s }
-                if self.disturbance.stands(Part::Estimator, now.seconds_since(self.begin)) =>
-            {
-                // Only the newest pair is estimated afterwards.
-                self.waiting = vec![(self.begin + Duration::from_secs_f64(from_s + for_s), percept)];
+        match self.stall {
+            Some(stall) if stall.stops(Part::Estimator, now.seconds_since(self.begin)) => {
+                self.waiting = Some((self.begin + Duration::from_secs_f64(stall.until_s()), percept));
             }
             _ => self.inner.observe(percept, now),
         }
@@ -253,8 +246,7 @@ impl Mover for Disturbed<'_> {
 
     fn step(&mut self, now: MonotonicTime) -> Result<Moved> {
         self.disturb(now)?;
-        while let Some(index) = self.waiting.iter().position(|(due, _)| *due <= now) {
-            let (_, percept) = self.waiting.remove(index);
+        if let Some((_, percept)) = self.waiting.take_if(|(due, _)| *due <= now) {
             self.inner.observe(percept, now);
         }
         let moved = self.inner.step(self.clock.now())?;
@@ -262,7 +254,7 @@ impl Mover for Disturbed<'_> {
         let decision = moved.decision;
         let t_s = now.seconds_since(self.begin);
         let step = Decided { t_s, state: decision.state, permission: decision.permission, why: decision.why };
-        self.ran.lock().unwrap_or_else(PoisonError::into_inner).decided.push(step);
+        self.ran.decided.push(step);
         Ok(moved)
     }
 
@@ -274,15 +266,15 @@ impl Mover for Disturbed<'_> {
 impl Disturbed<'_> {
     fn disturb(&mut self, now: MonotonicTime) -> Result<()> {
         let t_s = now.seconds_since(self.begin);
-        let Disturbance::Stall { part, from_s, for_s } = self.disturbance else { return Ok(()) };
+        let Some(stall) = self.stall else { return Ok(()) };
         match self.progress {
-            Progress::Before if t_s >= from_s => self.progress = Progress::Within,
-            Progress::Within if t_s >= from_s + for_s => self.progress = Progress::Over,
+            Progress::Before if t_s >= stall.from_s => self.progress = Progress::Within,
+            Progress::Within if t_s >= stall.until_s() => self.progress = Progress::Over,
             _ => return Ok(()),
         }
-        match (part, self.progress) {
+        match (stall.part, self.progress) {
             (Part::Host, Progress::Within) => {
-                self.clock.sleep_until(self.begin + Duration::from_secs_f64(from_s + for_s));
+                self.clock.sleep_until(self.begin + Duration::from_secs_f64(stall.until_s()));
             }
             (Part::Link, progress) => {
                 let word = if progress == Progress::Within { "on" } else { "off" };
@@ -296,12 +288,11 @@ impl Disturbed<'_> {
 
     /// Records the true places since the last ones.
     fn sample(&mut self) {
-        let mut ran = self.ran.lock().unwrap_or_else(PoisonError::into_inner);
         let now = self.clock.now();
         while self.sampled <= now {
             let at = self.sampled;
             let hand_mm = self.cell.world_from_hand_at(at).translation_m() * 1e3;
-            ran.places.push(TruePlace { t_s: at.seconds_since(self.begin), hand_mm });
+            self.ran.places.push(TruePlace { t_s: at.seconds_since(self.begin), hand_mm });
             self.sampled = self.sampled + SAMPLED;
         }
     }

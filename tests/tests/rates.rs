@@ -13,10 +13,9 @@ use pb3dp_cell::moving::{Moved, Moving};
 use pb3dp_cell::percept::Percept;
 use pb3dp_cell::strip::Strip;
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_setup::setup::{Carrier, Leader, Pace, Setup, read_setup};
+use pb3dp_setup::setup::Setup;
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig};
 use pb3dp_wiring::{Wired, wire_cell};
-use system_tests::repository;
 
 /// Both arms are enabled and the hand follows by then, seconds.
 const FROM_S: f64 = 4.0;
@@ -37,22 +36,16 @@ struct Ran {
     ended_s: f64,
 }
 
-/// The setup `hil` in simulated time and without images, with a target that no arm carries.
 fn setup() -> Setup {
-    let mut setup = read_setup(&repository().join("configs/hil.toml")).unwrap();
-    setup.pace = Pace::Fast;
-    setup.compared.clear();
-    setup.leader = Leader::Geometric(setup.geometric.unwrap());
-    setup.experiment.carrier = Carrier::Nothing;
-    setup.experiment.motion = MotionConfig::Sine(SineConfig {
+    crate::disturbed::setup(MotionConfig::Sine(SineConfig {
         channel: Channel::Y,
         amplitude: 0.05,
         period_s: 6.0,
         periods: 100,
         lead_in_s: 0.0,
         axes: ExperimentAxes::TargetAtStart,
-    });
-    setup
+    }))
+    .unwrap()
 }
 
 fn ran(arm: usize, lines: &'static [&'static str], every_s: f64, for_s: f64) -> Ran {

@@ -5,7 +5,7 @@ use pb3dp_servo::supervisor::{Resume, State};
 use pb3dp_setup::setup::Setup;
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig};
 
-use crate::disturbed::{Disturbance, Part, Ran, run, setup};
+use crate::disturbed::{Part, Ran, Stall, run, setup};
 
 /// The target moves at 100 mm/s around this time, seconds: after two periods of 2 pi seconds.
 const AT_S: f64 = 12.56;
@@ -24,23 +24,24 @@ fn following() -> Setup {
     setup(MotionConfig::Sine(motion)).unwrap()
 }
 
-fn ran(setup: &Setup, disturbance: Disturbance) -> Ran {
-    run(setup, disturbance, AT_S + 2.0).unwrap()
+fn ran(setup: &Setup, stall: Option<Stall>) -> Ran {
+    run(setup, stall, AT_S + 2.0).unwrap()
 }
 
-fn stall(part: Part, at_s: f64, millis: u32) -> Disturbance {
-    Disturbance::Stall { part, from_s: at_s, for_s: f64::from(millis) * 1e-3 }
+fn stall(part: Part, from_s: f64, millis: u32) -> Option<Stall> {
+    Some(Stall { part, from_s, for_s: f64::from(millis) * 1e-3 })
 }
 
 /// 40 ms: at most 8 mm beside the undisturbed run, averaged over the times in the control cycle at which they begin, and back within 0.3 s of
 /// their end. A stall of the host that begins just before a step costs 8.5 mm: the driver has faded the velocity to nothing then, and the
 /// limiter allows no quicker start. Before, each stall of the host cost 38 mm and 0.97 s, because the target was dropped.
 #[test]
-fn a_stall_of_40_ms_costs_8_mm_and_less() {
+fn a_stall_of_40_ms_costs_less_than_8_mm_on_average() {
     let setup = following();
-    let undisturbed = ran(&setup, Disturbance::None);
+    let undisturbed = ran(&setup, None);
     const PHASES_MILLIS: [u32; 5] = [1, 3, 5, 7, 9];
-    for part in [Part::Host, Part::Estimator, Part::Camera] {
+    // Without a newer pair the hand follows the prediction.
+    for (part, limit_mm) in [(Part::Host, 9.0), (Part::Estimator, 0.5), (Part::Camera, 0.5)] {
         let mut sum_mm = 0.0;
         for phase_millis in PHASES_MILLIS {
             let stalled = ran(&setup, stall(part, AT_S + f64::from(phase_millis) * 1e-3, 40));
@@ -48,7 +49,7 @@ fn a_stall_of_40_ms_costs_8_mm_and_less() {
             let back_s = back_s - 0.04;
             println!("{part:?}, {phase_millis} ms after a step: {most_mm:.1} mm, back {back_s:.2} s after its end");
             assert_eq!(stalled.ended, None, "{part:?}, {phase_millis} ms after a step");
-            assert!(most_mm < 9.0 && back_s < 0.3, "{part:?}, {phase_millis} ms: {most_mm} mm, {back_s} s");
+            assert!(most_mm < limit_mm && back_s < 0.3, "{part:?}, {phase_millis} ms: {most_mm} mm, {back_s} s");
             sum_mm += most_mm;
         }
         assert!(sum_mm / f64::from(PHASES_MILLIS.len() as u32) < 8.0, "{part:?}: {sum_mm} mm in all");
@@ -56,14 +57,14 @@ fn a_stall_of_40_ms_costs_8_mm_and_less() {
 }
 
 #[test]
-fn a_stall_of_160_ms_of_cameras_or_estimator_costs_30_mm_and_less() {
+fn a_stall_of_160_ms_of_cameras_or_estimator_costs_5_mm_and_less() {
     let setup = following();
-    let undisturbed = ran(&setup, Disturbance::None);
+    let undisturbed = ran(&setup, None);
     for part in [Part::Estimator, Part::Camera] {
         let stalled = ran(&setup, stall(part, AT_S, 160));
         let (most_mm, back_s) = stalled.beside(&undisturbed, (AT_S, BACK_MM));
         println!("{part:?}: {most_mm:.1} mm, back after {back_s:.2} s");
-        assert!(stalled.ended.is_none() && most_mm < 30.0 && back_s < 0.6, "{part:?}: {most_mm} mm, {back_s} s");
+        assert!(stalled.ended.is_none() && most_mm < 5.0 && back_s < 0.6, "{part:?}: {most_mm} mm, {back_s} s");
     }
 }
 
@@ -71,7 +72,7 @@ fn a_stall_of_160_ms_of_cameras_or_estimator_costs_30_mm_and_less() {
 #[test]
 fn a_stall_of_20_ms_of_the_line_costs_2_mm_and_less() {
     let setup = following();
-    let undisturbed = ran(&setup, Disturbance::None);
+    let undisturbed = ran(&setup, None);
     let stalled = ran(&setup, stall(Part::Link, AT_S, 20));
     let (most_mm, _) = stalled.beside(&undisturbed, (AT_S, BACK_MM));
     println!("line: {most_mm:.1} mm");

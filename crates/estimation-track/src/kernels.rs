@@ -11,17 +11,18 @@ use super::lanes::{Lanes, each_lane, repeated};
 /// Unknowns without the gains: the motion `[rho; phi]` of the model in its own frame (metres, radians), the row offset of the
 /// right image (pixels), the change of the inverse-depth plane of the surface (1/m).
 pub(super) const UNKNOWNS: usize = 10;
+/// Writes an expression once per unknown, see [`repeated`].
+macro_rules! each_unknown {
+    ($i:ident => $body:expr) => {
+        repeated!($i in [0, 1, 2, 3, 4, 5, 6, 7, 8, 9] => $body)
+    };
+}
+const _: () = assert!(UNKNOWNS == 10, "each_unknown names them all");
+
 /// Index of the row offset.
 pub(super) const ROW: usize = 6;
 /// Index of the first of the three unknowns of the surface's plane.
 pub(super) const SHAPE: usize = 7;
-/// Writes the expression once per unknown, see [`repeated`].
-macro_rules! each_unknown {
-    ($i:ident => $body:expr) => {
-        const _: () = assert!(UNKNOWNS == 10, "as many as there are unknowns");
-        repeated!($i in [0, 1, 2, 3, 4, 5, 6, 7, 8, 9] => $body);
-    };
-}
 /// Number of entries of the upper triangle.
 pub(super) const TRIANGLE: usize = UNKNOWNS * (UNKNOWNS + 1) / 2;
 /// Residuals per point and channel: stored view against left, stored view against right, left against right.

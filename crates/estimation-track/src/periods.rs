@@ -197,10 +197,10 @@ impl PeriodSearch<'_> {
         let mut parts = [Brightness::default(); 2];
         for (sample, own) in samples.iter().zip(own).filter(|(_, own)| own.is_finite()) {
             let px = self.shifted_px(sample, &by);
-            let inside = self.region.contains(nearest(px[0]), nearest(px[1]));
+            let inside = self.region.contains(nearest_px(px[0]), nearest_px(px[1]));
             // Rounded: (px - origin + 0.5) / side - 0.5.
-            let x = below((px[0] - f64::from(self.left.window.x) + 0.5) * factor);
-            let y = below((px[1] - f64::from(self.left.window.y) + 0.5) * factor);
+            let x = floor_px((px[0] - f64::from(self.left.window.x) + 0.5) * factor);
+            let y = floor_px((px[1] - f64::from(self.left.window.y) + 0.5) * factor);
             if (0..width).contains(&x) && (0..height).contains(&y) {
                 let other = self.left.texel(level, x as usize, y as usize)[0];
                 parts[usize::from(inside)].add(*own, other);
@@ -251,7 +251,7 @@ impl PeriodSearch<'_> {
             let pair = (texel_at(self.left, level, sample.pixel), texel_at(self.left, level, px.map(|x| x as f32)));
             let (Some([a0, a1, a2, _]), Some([b0, b1, b2, _])) = pair else { continue };
             all.add(1.0, [a0, a1, a2], [b0, b1, b2]);
-            if self.region.contains(px[0].round() as i32, px[1].round() as i32) {
+            if self.region.contains(nearest_px(px[0]), nearest_px(px[1])) {
                 inside.add(1.0, [a0, a1, a2], [b0, b1, b2]);
             }
         }
@@ -263,15 +263,15 @@ impl PeriodSearch<'_> {
     }
 }
 
-/// The largest whole number that is not above a pixel; a pixel far outside of any image stays outside. Without a call of a library.
-fn below(px: f64) -> i32 {
+/// The largest whole number at most `px`; far outside of any image it stays far outside. `f64::floor` is a call of a library on processors
+/// without SSE4.1, for which the program is compiled.
+fn floor_px(px: f64) -> i32 {
     const FAR: i32 = 1 << 20;
     ((px + f64::from(FAR)) as i32).saturating_sub(FAR)
 }
 
-/// The nearest whole number of a pixel, as [`below`].
-fn nearest(px: f64) -> i32 {
-    below(px + 0.5)
+fn nearest_px(px: f64) -> i32 {
+    floor_px(px + 0.5)
 }
 
 /// Sums for a correlation of brightness.
@@ -350,6 +350,17 @@ mod tests {
     fn has(found: &[[f64; 2]], period: [f64; 2]) -> bool {
         let near = |a: &[f64; 2], sign: f64| (a[0] - sign * period[0]).hypot(a[1] - sign * period[1]) < 0.5;
         found.iter().any(|found| near(found, 1.0) || near(found, -1.0))
+    }
+
+    #[test]
+    fn a_pixel_is_rounded_down_on_both_sides_of_the_border() {
+        let rounded = [-1.0, -0.75, -0.0, 0.5, 1.0, 639.999].map(floor_px);
+        assert_eq!(rounded, [-1, -1, 0, 0, 1, 639]);
+        assert_eq!([-0.6, -0.4, 0.4, 0.6].map(nearest_px), [-1, 0, 0, 1]);
+        for far in [-1e300, -3e6, f64::NAN] {
+            assert!(floor_px(far) <= -(1 << 20), "{far}");
+        }
+        assert!(floor_px(1e300) > 1 << 20);
     }
 
     #[test]

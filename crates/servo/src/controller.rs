@@ -21,6 +21,11 @@ use crate::resolved_rate::{HandJacobian, Limitation};
 use crate::search::Search;
 use crate::target_filter::{ObservationVerdict, TargetObservation};
 
+/// The longest hold that keeps the target and the measured speed of the hand (a stall), seconds. The target moves on unseen meanwhile: at
+/// 100 mm/s by 30 mm, the width of a frame's search. Half of it would lose stalls of 160 ms of a camera, whose pairs are 0.1 s old anyway;
+/// twice of it is the age at which a target at 0.5 m may have left the image.
+pub(crate) const STALL_MAX_S: f64 = 0.3;
+
 /// Command for the arm until the next step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Command {

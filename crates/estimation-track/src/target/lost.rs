@@ -145,18 +145,18 @@ impl Target {
         self.estimate.cam_left_from_model = *start;
         let (mut problem, aligner, estimate) = self.problem(frame);
         let plan = AlignmentPlan { start: StartLevel::Coarsest, free: Free::Motion, steps_max: ROUGH_STEPS };
-        let mut levels = 1..=LEVELS - 1;
-        if problem.surface.levels[2].points() >= POINTS_PREFERRED {
-            aligner.align(&mut problem, estimate, 2..=LEVELS - 1, plan, may_continue)?;
-            aligner.look(&problem, estimate, 2, &estimate.photometry())?;
-            if aligner.resemblance(&problem, 2) < COARSE_RESEMBLANCE_MIN {
+        let has_coarse_points = problem.surface.levels[2].points() >= POINTS_PREFERRED;
+        let coarse = has_coarse_points.then_some((2..=LEVELS - 1, COARSE_RESEMBLANCE_MIN));
+        let fine = (1..=if has_coarse_points { 1 } else { LEVELS - 1 }, ROUGH_RESEMBLANCE_MIN);
+        for (levels, resemblance_min) in coarse.into_iter().chain([fine]) {
+            let finest = *levels.start();
+            aligner.align(&mut problem, estimate, levels, plan, may_continue)?;
+            aligner.look(&problem, estimate, finest, &estimate.photometry())?;
+            if aligner.resemblance(&problem, finest) < resemblance_min {
                 return None;
             }
-            levels = 1..=1;
         }
-        aligner.align(&mut problem, estimate, levels, plan, may_continue)?;
-        aligner.look(&problem, estimate, 1, &estimate.photometry())?;
-        (aligner.resemblance(&problem, 1) >= ROUGH_RESEMBLANCE_MIN).then_some(estimate.cam_left_from_model)
+        Some(estimate.cam_left_from_model)
     }
 
     fn with_depth(&self, pose: &Pose<CamLeft, Model>, frame: &Frame<'_>) -> Option<Pose<CamLeft, Model>> {

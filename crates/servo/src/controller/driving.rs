@@ -7,7 +7,7 @@ use pb3dp_geometry::{MonotonicTime, Pose, Twist};
 use pb3dp_kinematics::{JointState, JointVector};
 use pb3dp_safeguards::{Safeguard, is_off};
 
-use super::{Command, ControlStep, Controller, HoldReason, Mode};
+use super::{Command, ControlStep, Controller, HoldReason, Mode, STALL_MAX_S};
 use crate::config::{CartesianSpeed, FeedForwardConfig, LawConfig, PublishedConfig};
 use crate::law::feed_forward::{self, Aim, DesiredMotion};
 use crate::law::pose_based::{self, HandError};
@@ -28,12 +28,9 @@ const NEAREST_SHARE: f64 = 0.8;
 /// Time after the approach in which translation and rotation become independent, seconds.
 const TOGETHER_FADES_S: f64 = 1.0;
 
-/// After a shorter hold that keeps the target, the hand goes on from its measured speed, seconds: as long as the supervisor keeps it.
-const SHORT_HOLD_S: f64 = 0.3;
-
-/// Time in which the speed rises after such a hold, seconds. Measured with stalls of 40 ms of the host at 100 mm/s (tests/tests/stalls.rs):
-/// 6.4 to 8.1 mm beside the undisturbed run, and the same within 0.6 mm with 0.02 s and with 0.1 s, because the limiter bounds the
-/// acceleration anyway.
+/// Time in which the speed rises after a hold that is as short as a stall, seconds. Measured with stalls of 40 ms of the host at 100 mm/s
+/// (tests/tests/stalls.rs): 6.4 to 8.5 mm beside the undisturbed run, and the same within 0.6 mm with 0.02 s and with 0.1 s, because the
+/// limiter bounds the acceleration anyway.
 const RISES_AGAIN_S: f64 = 0.05;
 
 /// Share of the requested speed that is used: it rises after a hold, and falls while the target is not observed.
@@ -78,7 +75,7 @@ impl Pace {
         left: impl Fn() -> f64,
     ) -> f64 {
         if let Some(since) = self.held_since {
-            let was_moving = self.moving.filter(|_| (0.0..=SHORT_HOLD_S).contains(&now.seconds_since(since)));
+            let was_moving = self.moving.filter(|_| (0.0..=STALL_MAX_S).contains(&now.seconds_since(since)));
             *self = Self { moving: was_moving.map(|(began, _)| (began, left())), rises_again: true, held_since: None };
         }
         let rises_s = if self.rises_again { soft_start_s.min(RISES_AGAIN_S) } else { soft_start_s };

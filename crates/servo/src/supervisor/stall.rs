@@ -5,12 +5,7 @@ use pb3dp_geometry::MonotonicTime;
 use super::findings::{Cause, Detail, Findings};
 use super::inputs::Inputs;
 use super::policy::{Action, Condition, Policies, Resume};
-use crate::controller::{HoldReason, Mode};
-
-/// A longer hold is not a stall, seconds. The target moves on unseen meanwhile: at 100 mm/s by 30 mm, the width of a frame's search.
-/// Half of it would lose stalls of 160 ms of a camera, whose pairs are 0.1 s old anyway; twice of it is the age at which a target at
-/// 0.5 m may have left the image.
-pub(super) const STALL_MAX_S: f64 = 0.3;
+use crate::controller::{HoldReason, Mode, STALL_MAX_S};
 
 /// A stall sooner after another one is no single one, seconds: a part that fails again and again holds the arm as any other cause.
 pub(super) const STALLS_APART_S: f64 = 1.0;
