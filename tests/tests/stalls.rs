@@ -9,6 +9,7 @@ use crate::disturbed::{Part, Ran, Stall, run, setup};
 
 /// The target moves at 100 mm/s around this time, seconds: after two periods of 2 pi seconds.
 const AT_S: f64 = 12.56;
+const HALF_A_CYCLE_S: f64 = 0.005;
 /// A hand is back within this distance of the undisturbed run, mm.
 const BACK_MM: f64 = 2.0;
 
@@ -56,34 +57,45 @@ fn a_stall_of_40_ms_costs_less_than_8_mm_on_average() {
     }
 }
 
+/// What a stall costs by its part and length, from the middle of a control cycle on: the largest distance from the undisturbed run, mm. The
+/// table stands in docs/servo.md.
 #[test]
-fn a_stall_of_160_ms_of_cameras_or_estimator_costs_5_mm_and_less() {
+fn longer_stalls_cost_more_and_the_longest_of_host_and_line_latch() {
+    const LENGTHS_MILLIS: [u32; 5] = [20, 31, 40, 80, 160];
+    // Largest distance, mm; `None` if the arm latches.
+    let limits_mm = [
+        (Part::Host, [Some(3.0), Some(9.0), Some(9.0), None, None]),
+        (Part::Estimator, [Some(0.5), Some(0.5), Some(0.5), Some(0.5), Some(5.0)]),
+        (Part::Camera, [Some(0.5), Some(0.5), Some(0.5), Some(0.5), Some(5.0)]),
+        (Part::Link, [Some(2.0), None, None, None, None]),
+    ];
     let setup = following();
     let undisturbed = ran(&setup, None);
-    for part in [Part::Estimator, Part::Camera] {
-        let stalled = ran(&setup, stall(part, AT_S, 160));
-        let (most_mm, back_s) = stalled.beside(&undisturbed, (AT_S, BACK_MM));
-        println!("{part:?}: {most_mm:.1} mm, back after {back_s:.2} s");
-        assert!(stalled.ended.is_none() && most_mm < 5.0 && back_s < 0.6, "{part:?}: {most_mm} mm, {back_s} s");
+    for (part, limits_mm) in limits_mm {
+        for (millis, limit_mm) in LENGTHS_MILLIS.into_iter().zip(limits_mm) {
+            let stalled = ran(&setup, stall(part, AT_S + HALF_A_CYCLE_S, millis));
+            let (most_mm, back_s) = stalled.beside(&undisturbed, (AT_S + HALF_A_CYCLE_S, BACK_MM));
+            let back_s = (back_s - f64::from(millis) * 1e-3).max(0.0);
+            match &stalled.ended {
+                None => println!("{part:?}, {millis} ms: {most_mm:.1} mm, back {back_s:.2} s after its end"),
+                Some(ended) => println!("{part:?}, {millis} ms: {ended}"),
+            }
+            assert_eq!(stalled.ended.is_none(), limit_mm.is_some(), "{part:?}, {millis} ms: {:?}", stalled.ended);
+            let Some(limit_mm) = limit_mm else { continue };
+            assert!(most_mm < limit_mm && back_s < 0.6, "{part:?}, {millis} ms: {most_mm} mm, {back_s} s");
+        }
     }
 }
 
-/// A line that loses fewer than three exchanges in a row.
+/// A host that is silent for longer than the watchdog of the arm allows is no stall: the arm is stopped and latched, as before. That is
+/// also so if it stands still for 40 ms within a step, between the readings and the command.
 #[test]
-fn a_stall_of_20_ms_of_the_line_costs_2_mm_and_less() {
-    let setup = following();
-    let undisturbed = ran(&setup, None);
-    let stalled = ran(&setup, stall(Part::Link, AT_S, 20));
-    let (most_mm, _) = stalled.beside(&undisturbed, (AT_S, BACK_MM));
-    println!("line: {most_mm:.1} mm");
-    assert!(stalled.ended.is_none() && (0.2..2.0).contains(&most_mm), "{most_mm} mm, {:?}", stalled.ended);
-}
-
-/// A host that is silent for longer than the watchdog of the arm allows is no stall: the arm is stopped and latched, as before.
-#[test]
-fn a_host_that_is_silent_for_60_ms_still_latches_the_arm() {
-    let stalled = ran(&following(), stall(Part::Host, AT_S, 60));
-    assert!(stalled.ended.as_deref().is_some_and(|ended| ended.contains("the watchdog allows 50ms")), "{stalled:?}");
+fn a_host_that_is_silent_for_50_ms_still_latches_the_arm() {
+    for millis in [40, 60] {
+        let stalled = ran(&following(), stall(Part::Host, AT_S, millis));
+        let ended = stalled.ended.as_deref().unwrap_or_default();
+        assert!(ended.contains("the watchdog allows 50ms"), "{millis} ms: {ended:?}");
+    }
 }
 
 /// With a policy that needs the operator, a stall is a hold as any other.

@@ -42,10 +42,15 @@ impl Workspace {
         &self.root
     }
 
-    /// A command that runs in the workspace's root.
+    /// A command that runs in the workspace's root. It does not see what cargo told us about our own package: build scripts that read
+    /// the same variables, as that of ring does, would run again whenever cargo is called with and without us in turn.
     pub fn command(&self, program: impl AsRef<OsStr>) -> Command {
         let mut command = Command::new(program);
         command.current_dir(&self.root);
+        let names = std::env::vars_os().map(|(name, _)| name);
+        for name in names.filter(|name| name.to_str().is_some_and(is_of_our_package)) {
+            command.env_remove(name);
+        }
         command
     }
 
@@ -176,6 +181,11 @@ fn shown(command: &Command) -> String {
     variables.chain(words).collect::<Vec<_>>().join(" ")
 }
 
+/// Whether cargo sets this variable for the package that it runs.
+fn is_of_our_package(name: &str) -> bool {
+    name.starts_with("CARGO_PKG_") || name.starts_with("CARGO_MANIFEST_")
+}
+
 #[cfg(test)]
 mod tests {
     use std::process::Stdio;
@@ -184,6 +194,14 @@ mod tests {
 
     fn here() -> Workspace {
         Workspace { root: Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a parent").to_path_buf() }
+    }
+
+    /// As if no cargo had started us: otherwise half of the workspace would be built again after each `cargo xtask`.
+    #[test]
+    fn commands_do_not_see_our_package() {
+        let command = here().cargo();
+        let removed = |wanted: &str| command.get_envs().any(|(name, value)| name == wanted && value.is_none());
+        assert!(removed("CARGO_MANIFEST_DIR") && removed("CARGO_PKG_NAME"));
     }
 
     #[test]
