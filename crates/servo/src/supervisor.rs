@@ -82,8 +82,11 @@ pub struct Decision {
 pub struct Supervisor {
     config: SupervisorConfig,
     state: State,
-    /// Time at which the state was entered; older commands refer to another state.
+    /// Time at which the state was entered.
     entered_at: Option<MonotonicTime>,
+    /// Time at which the state was entered, or at which the operator ended motion last, also where the state did not change by that;
+    /// older commands refer to something else.
+    commands_since: Option<MonotonicTime>,
     findings: Findings,
     /// Condition that led to the state; `None` if a command did.
     cause: Option<Cause>,
@@ -117,6 +120,7 @@ impl Supervisor {
             config,
             state: State::Idle,
             entered_at: None,
+            commands_since: None,
             findings: Findings::new(),
             cause: None,
             clear_since: None,
@@ -146,6 +150,7 @@ impl Supervisor {
         self.findings.look(inputs, &self.config.policies, now);
         // After the clock stepped back, new commands must not be refused as older than the state.
         self.entered_at = self.entered_at.map(|entered| entered.min(now));
+        self.commands_since = self.commands_since.map(|since| since.min(now));
         let blocking = self.findings.first_at_least(&self.config.policies, Action::Hold);
         self.clear_since = match (blocking, self.clear_since) {
             (None, Some(since)) if since <= now => Some(since),
@@ -228,6 +233,9 @@ impl Supervisor {
         if matches!(obeyed, Some(OperatorCommand::Hold | OperatorCommand::HoldHand)) {
             self.held_by_operator = true;
             self.holds_every_arm |= obeyed == Some(OperatorCommand::Hold);
+        }
+        if obeyed.is_some_and(OperatorCommand::ends_motion) {
+            self.commands_since = Some(now);
         }
         let candidates = [
             of_alarm(Event::FaultFound),
@@ -321,7 +329,7 @@ impl Supervisor {
             _ => {}
         }
         self.state = to;
-        self.entered_at = Some(at);
+        (self.entered_at, self.commands_since) = (Some(at), Some(at));
         self.cause = cause;
         self.log.push(transition);
     }
@@ -391,7 +399,7 @@ impl Supervisor {
             return Some(RefusedFor::Age { age_s, age_max_s });
         }
         // After the clock stepped back, new commands must not be refused as older than the state.
-        let is_before = self.entered_at.is_some_and(|entered| said.at < entered.min(now));
+        let is_before = self.commands_since.is_some_and(|since| said.at < since.min(now));
         if is_before {
             return Some(RefusedFor::OlderThanState(self.state));
         }

@@ -142,7 +142,7 @@ pub struct WhoMayMove {
     /// Longest search for a lost target, seconds; 0 if the hand may not search.
     search_max_s: f64,
     stage: Stage,
-    /// Begin of the stage, on the clock of the control loop: older commands refer to something else.
+    /// Begin of the stage, or the last command that ended motion, on the clock of the control loop: older commands refer to something else.
     since_s: f64,
     /// Time of the last control step on this clock.
     now_s: f64,
@@ -247,6 +247,7 @@ impl WhoMayMove {
             (_, Stage::Going) => self.enter(Stage::Held, now_s),
             _ => {}
         }
+        self.since_s = now_s;
         self.target_waits |= word == Word::Hold;
     }
 

@@ -35,7 +35,7 @@ codes! {
     RefusedFor, "An operator command is refused" {
         State = "PB3DP-SUP-101": "The command is not possible in this state."; "Use the command that the message names.";
         Age = "PB3DP-SUP-102": "The command arrived too late."; "Repeat it. If this happens often, check the connection of the terminal.";
-        OlderThanState = "PB3DP-SUP-103": "The state changed after the command was given."; "Check the new state, then repeat the command.";
+        OlderThanState = "PB3DP-SUP-103": "After the command was given the state changed, or motion was ended."; "Check the new state, then repeat the command.";
         OlderThanTarget = "PB3DP-SUP-104": "The command was given before the current target was seen."; "Check the target, then repeat the command.";
         Overtaken = "PB3DP-SUP-105": "The state changed in the same step as the command."; "Check the new state, then repeat the command.";
         Cause = "PB3DP-SUP-106": "A condition inhibits motion. The message names it."; "Remove this condition, then repeat the command.";

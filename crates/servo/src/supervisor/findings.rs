@@ -50,6 +50,9 @@ pub enum Detail {
     NoPose,
 }
 
+/// Conditions for which a confident estimate cannot be used either.
+const DOUBTS: [Condition; 3] = [Condition::PositionUncertain, Condition::OrientationUncertain, Condition::CameraSkew];
+
 /// Evaluates the inputs, and keeps the data for later steps.
 #[derive(Clone, Debug)]
 pub(super) struct Findings {
@@ -61,7 +64,9 @@ pub(super) struct Findings {
     posed: Option<EstimateInput>,
     /// Exposure of the newest confident estimate.
     confident_at: Option<MonotonicTime>,
-    /// Time at which this estimate arrived.
+    /// Exposure of the newest confident estimate that no condition of [`DOUBTS`] concerned when it arrived.
+    usable_at: Option<MonotonicTime>,
+    /// Time at which the newest confident estimate arrived.
     pub(super) confirmed_at: Option<MonotonicTime>,
     /// Estimates from earlier exposures are ignored: they were made before the selection.
     not_before: MonotonicTime,
@@ -84,6 +89,7 @@ impl Findings {
             estimate: None,
             posed: None,
             confident_at: None,
+            usable_at: None,
             confirmed_at: None,
             not_before: MonotonicTime::ZERO,
             innovation: Innovation::NoneNew,
@@ -118,6 +124,7 @@ impl Findings {
         self.followed_target = None;
         self.followed_since = None;
         self.confident_at = None;
+        self.usable_at = None;
         self.confirmed_at = None;
         self.innovation = Innovation::NoneNew;
     }
@@ -161,6 +168,9 @@ impl Findings {
             self.found[index] = found.map(|(value, detail)| Cause { condition, value, threshold, detail });
             let since = self.since[index].filter(|since| found.is_some() && *since <= now);
             self.since[index] = since.or(found.map(|_| now));
+        }
+        if DOUBTS.iter().all(|doubt| self.cause(*doubt).is_none()) {
+            self.usable_at = self.confident_at;
         }
     }
 
@@ -259,16 +269,20 @@ impl Findings {
         self.found.iter().flatten().filter(move |cause| policies.get(cause.condition).action >= action).copied()
     }
 
-    /// The conditions that have been active for the `for_s` of their policy.
+    /// The conditions that have been active for the `for_s` of their policy. Those of [`DOUBTS`] are not awaited for longer than the
+    /// newest usable pose may be old: with late pairs, that would add to their age.
     pub(super) fn lasting<'a>(
         &'a self,
         policies: &'a Policies,
         now: MonotonicTime,
     ) -> impl Iterator<Item = (Cause, Action)> + 'a {
+        let age_max_s = policies.get(Condition::EstimateStale).threshold;
+        let is_old = self.usable_at.is_none_or(|usable| now.seconds_since(usable) > age_max_s);
         self.found.iter().zip(&self.since).filter_map(move |(found, since)| {
             let (cause, since) = ((*found)?, (*since)?);
             let policy = policies.get(cause.condition);
-            (now.seconds_since(since) >= policy.for_s).then_some((cause, policy.action))
+            let lasts = now.seconds_since(since) >= policy.for_s || is_old && DOUBTS.contains(&cause.condition);
+            lasts.then_some((cause, policy.action))
         })
     }
 

@@ -119,7 +119,7 @@ pub enum RefusedFor {
         /// Largest allowed age, seconds.
         age_max_s: f64,
     },
-    /// It was given before the state changed.
+    /// It was given before the state changed, or before the operator ended motion.
     OlderThanState(State),
     /// It was given before the present target was observed.
     OlderThanTarget,
@@ -240,7 +240,10 @@ impl Refusal {
                 write!(f, "the request is {age_s:.3} s old, limit {age_max_s:.3} s; repeat it")
             }
             RefusedFor::OlderThanState(state) => {
-                write!(f, "requested before the state changed to {state}; check, then repeat it")
+                write!(
+                    f,
+                    "requested before the state changed to {state}, or before a later hold or stop; check, then repeat it"
+                )
             }
             RefusedFor::OlderThanTarget => {
                 write!(f, "requested before the current target was seen; check, then repeat it")

@@ -1,5 +1,7 @@
 //! Each condition alone: detection, action, and how motion resumes.
 
+use std::time::Duration;
+
 use nalgebra::Matrix6;
 use pb3dp_servo::supervisor::{
     Action, ArmCondition, Condition, Confidence, Detail, Event, FrameInput, Innovation, Inputs, OperatorCommand,
@@ -271,6 +273,50 @@ fn a_pose_that_is_too_uncertain_stays_so_until_there_is_another_one() {
         assert!(!bench.run(2.0), "{}", bench.why());
         bench.truth();
         assert!(bench.run(0.3), "{}", bench.why());
+    }
+}
+
+/// Pairs that are late by almost the age at which an estimate is stale, and then uncertain, or of exposures that are apart: their time
+/// does not add to the age of the last usable pose.
+#[test]
+fn doubts_about_late_poses_hold_the_hand_once_the_last_usable_pose_is_stale() {
+    const LATE_S: f64 = 0.2;
+    let late = |i: &mut Inputs| {
+        let estimate = i.estimate.as_mut().unwrap();
+        estimate.at = estimate.at - Duration::from_secs_f64(LATE_S);
+        i.frame.as_mut().unwrap().at = estimate.at;
+    };
+    let lasting = |condition: Condition| {
+        let mut config = config();
+        config.policies.get_mut(condition).for_s = 0.4;
+        config
+    };
+    type Doubt = fn(&mut Inputs);
+    let cases: [(Condition, Doubt); 3] = [
+        (Condition::PositionUncertain, |i| i.estimate.as_mut().unwrap().covariance = Some(deviating_by(0, 0.05))),
+        (Condition::OrientationUncertain, |i| i.estimate.as_mut().unwrap().covariance = Some(deviating_by(3, 0.4))),
+        (Condition::CameraSkew, |i| i.frame.as_mut().unwrap().skew_s = 0.02),
+    ];
+    for (condition, doubt) in cases {
+        let mut bench = Bench::following(lasting(condition));
+        bench.lie(late);
+        bench.run(1.0);
+        assert_eq!(bench.state(), State::Tracking, "{}", bench.why());
+        let since_s = bench.now_s;
+        bench.lie(move |i| {
+            late(i);
+            if i.frame.unwrap().at > at(since_s - LATE_S) {
+                doubt(i);
+            }
+        });
+        while bench.state() == State::Tracking {
+            assert!(bench.now_s < since_s + 1.0, "{condition:?}");
+            bench.step();
+        }
+        let held_after_s = bench.now_s - since_s;
+        let stale_s = config().policies.get(Condition::EstimateStale).threshold;
+        assert!(held_after_s <= stale_s - LATE_S + 0.05, "{condition:?}: {held_after_s} s");
+        assert!(bench.decision().found.contains(condition), "{condition:?}: {}", bench.why());
     }
 }
 

@@ -20,6 +20,8 @@ pub(super) struct Conditions {
     /// Exposure of the newest estimate, and of the newest confident one.
     estimated_s: f64,
     confident_s: f64,
+    /// Exposure of the newest confident one that is certain, and of simultaneous exposures.
+    usable_s: f64,
     /// When the newest confident estimate arrived: nothing is known after it.
     confirmed_s: f64,
     /// Estimates from earlier exposures belong to another selection.
@@ -50,6 +52,7 @@ impl Default for Conditions {
             before: None,
             estimated_s: NEVER_S,
             confident_s: NEVER_S,
+            usable_s: NEVER_S,
             confirmed_s: NEVER_S,
             not_before_s: NEVER_S,
             stepped_s: None,
@@ -101,8 +104,12 @@ impl Conditions {
         self.uncertain_since_s = since(is_uncertain, self.uncertain_since_s, now_s);
         let lasts =
             |since_s: Option<f64>, for_s: f64| since_s.is_some_and(|since_s| now_s - since_s > for_s + ROUNDING_S);
+        if !is_skewed && !is_uncertain {
+            self.usable_s = self.confident_s;
+        }
         self.lasts = self.is_stale
             || self.is_disordered
+            || above(age_s(self.usable_s), POSE_AGE_S)
             || lasts(self.skewed_since_s, SKEW_FOR_S)
             || lasts(self.uncertain_since_s, UNCERTAIN_FOR_S);
         let is_inhibited =
@@ -134,6 +141,7 @@ impl Conditions {
     pub fn select(&mut self, now_s: f64) {
         const NEVER_S: f64 = f64::NEG_INFINITY;
         (self.estimated_s, self.confident_s, self.confirmed_s) = (NEVER_S, NEVER_S, NEVER_S);
+        self.usable_s = NEVER_S;
         (self.followed, self.followed_since_s, self.clear_since_s) = (None, NEVER_S, None);
         (self.sigma, self.not_before_s) = ([0.0; 2], now_s);
     }

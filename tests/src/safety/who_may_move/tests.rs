@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// Control steps of 10 ms, and a confident pair every 30 ms that is 70 ms old.
+/// Control steps of 10 ms, and a confident pair every 30 ms that is 70 ms old, and older if it is late.
 #[derive(Clone)]
 struct Cell {
     model: WhoMayMove,
@@ -11,6 +11,7 @@ struct Cell {
     shown_s: f64,
     pairs: bool,
     pair: Pair,
+    late_s: f64,
     hears: bool,
     heard_s: f64,
     disabled_s: f64,
@@ -30,14 +31,14 @@ impl Cell {
         };
         let model = WhoMayMove::new(has_person, 10.0);
         let (t_s, shown_s, heard_s, disabled_s, count) = (0.0, 0.0, 0.0, 0.0, 0);
-        Self { model, t_s, shown_s, pairs: true, pair, hears: true, heard_s, disabled_s, count }
+        Self { model, t_s, shown_s, pairs: true, pair, late_s: 0.0, hears: true, heard_s, disabled_s, count }
     }
 
     fn step(&mut self) {
         (self.t_s, self.count) = (self.t_s + 0.01, self.count + 1);
         let now_s = self.t_s + self.shown_s;
         if self.pairs && self.count.is_multiple_of(3) {
-            (self.pair.number, self.pair.exposed_s) = (self.pair.number + 1, self.t_s - 0.07);
+            (self.pair.number, self.pair.exposed_s) = (self.pair.number + 1, self.t_s - 0.07 - self.late_s);
             self.model.saw(self.pair);
         }
         if self.hears {
@@ -390,5 +391,40 @@ fn another_condition_or_a_command_makes_a_stall_a_hold() {
         over(&mut cell);
         cell.run(2.0);
         assert!(!cell.may()[0], "{word:?}");
+    }
+}
+
+/// A line may deliver a command after a later one.
+#[test]
+fn what_was_said_before_a_later_hold_or_stop_permits_nothing() {
+    let mut cell = Cell::going();
+    cell.say(Word::Hold);
+    cell.run(0.5);
+    cell.say(Word::HoldHand);
+    cell.say_late(Word::Resume, 0.1);
+    assert_eq!(cell.may(), [false; 2]);
+    cell.say(Word::Resume);
+    assert_eq!(cell.may(), [true; 2]);
+    cell.say(Word::Stop);
+    cell.run(0.5);
+    cell.say(Word::Stop);
+    cell.say_late(Word::Reset, 0.1);
+    assert!(cell.model.is_latched());
+}
+
+#[test]
+fn doubts_about_late_poses_do_not_add_to_their_age() {
+    type Change = fn(&mut Pair);
+    let doubts: [Change; 2] = [|pair| pair.sigma = [0.03, 0.0], |pair| pair.skew_s = 0.006];
+    for doubt in doubts {
+        let mut cell = Cell::going();
+        cell.late_s = 0.12;
+        cell.run(1.0);
+        assert!(cell.may()[0], "late");
+        doubt(&mut cell.pair);
+        cell.run(0.06);
+        assert!(cell.may()[0]);
+        cell.run(0.06);
+        assert!(!cell.may()[0]);
     }
 }
