@@ -105,7 +105,7 @@ pub struct LimiterStatistics {
 /// An arm that no command can drive beyond its limits. The limiter owns the arm, so it cannot be bypassed.
 ///
 /// A velocity is `Rejected`, and the arm holds, if it is not finite, if it moves a joint further beyond its servo limits, or if it
-/// is the first one after enabling and the arm is not at its start pose. All other velocities are shaped. Speed limits and the
+/// is the first one after enabling, is not zero and the arm is not at its start pose. All other velocities are shaped. Speed limits and the
 /// remaining distance to the operating limits scale the whole vector, so the hand keeps its direction. The sent velocity changes
 /// within the limits of acceleration and jerk, and always so that every joint can still stop inside its operating range. Without a
 /// fresh sample each joint decelerates to a stop. Outside its operating range a joint can only return. `Hold` is the arm's own ramp
@@ -241,7 +241,8 @@ impl<A: Arm> Limiter<A> {
             );
             return Some((joint, reason));
         }
-        if self.started {
+        // Standstill is allowed anywhere. A latched arm answers it with the cause of its latch, which must not be hidden.
+        if self.started || *desired == JointVector::zeros() {
             return None;
         }
         if let Some((joint, difference_rad)) = self.config.start.missed_by(&measured_rad) {

@@ -183,6 +183,22 @@ fn the_first_velocity_is_refused_away_from_the_start() {
     }
 }
 
+/// What asks a latched arm for the cause of its latch is a velocity of zero, which moves nothing.
+#[test]
+fn an_arm_that_latched_away_from_its_start_pose_names_the_cause_of_its_latch() {
+    let clock = Arc::new(VirtualClock::new());
+    let mut arm = mock_arm(&clock, sample(MonotonicTime::ZERO).position_rad);
+    arm.enable().unwrap();
+    let config = LimiterConfig { start: start_with(3, 0.5), ..limiter_config() };
+    let mut limiter = Limiter::new(arm, limits(0.6), config, Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
+    limiter.exchange(JointCommand::Hold).unwrap();
+    limiter.exchange(rest()).unwrap();
+    assert_eq!(limiter.exchange(velocity(1, 0.2)).unwrap_err().kind(), ArmErrorKind::Rejected, "rest is no start");
+    limiter.arm().faults().raise_fault("an overcurrent");
+    let told = limiter.exchange(rest()).unwrap_err().to_string();
+    assert!(told.contains("an overcurrent") && !told.contains("start pose"), "{told}");
+}
+
 /// An arm that has started at its start pose may continue from another position, also if the first try to enable it failed.
 #[test]
 fn an_arm_that_is_switched_on_where_it_is_at_the_second_try_goes_on() {
