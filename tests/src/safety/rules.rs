@@ -70,6 +70,8 @@ pub struct Rules {
     pub told_other_s: f64,
     /// A joint that moves by itself may be too fast for this time, seconds.
     pub too_fast_s: f64,
+    /// And for this much longer while samples or commands may be lost or late, seconds.
+    pub unseen_s: f64,
     /// The arm of a joint that moves by itself is latched within this time, seconds.
     pub disobedience_s: f64,
     /// Minimum distance of both arms, metres.
@@ -111,6 +113,8 @@ impl Rules {
     ///   runs request; a hand that is returned to its path is faster and farther by up to a third, or a fifth and 5 mm.
     /// * `too_fast_s`: five cycles. One until the first sample, one until the second sample confirms it, one by which
     ///   samples are old, one for the command to the brakes, and one of the record.
+    /// * `unseen_s`: a fault of the bus repeats up to 50 samples of 2 ms; a control loop that stands still is missed after 50 ms, and
+    ///   brakes close in 50 ms.
     /// * `log_within_s`: 0.5 s for the reader, and the time for which the control loop stops both arms before it reports why: the
     ///   brakes of one arm take 0.2 s, and an arm that does not answer is given up after 0.5 s more.
     /// * `disobedience_s`: 0.05 rad of tracking error at 0.05 rad/s, 0.1 s for which it must last, and the decay meanwhile.
@@ -147,6 +151,7 @@ impl Rules {
             search_reach_m: 0.090,
             told_other_s: 0.030,
             too_fast_s: 0.05,
+            unseen_s: 0.1,
             disobedience_s: 2.0,
             arms_apart_m: 0.049,
             target: vec![Rod { ends_m: [[-0.05, 0.0, 0.0], [0.05, 0.0, 0.0]], radius_m: 0.05 }],

@@ -69,6 +69,8 @@ pub struct ArmTruth {
     pub command_age_s: f64,
     /// Whether commands may be lost or late on their way to the drives, or were so a short time ago.
     pub commands_disturbed: bool,
+    /// Whether the controller or the gateway stop the arm by themselves, and the program may not know it yet.
+    pub stops_by_itself: bool,
     /// Whether the program told the arm to hold, now or so short ago that the driver may still brake it.
     pub ramps: bool,
 }
@@ -88,6 +90,7 @@ impl ArmTruth {
             may_go: true,
             command_age_s: 0.0,
             commands_disturbed: false,
+            stops_by_itself: false,
             ramps: false,
         }
     }

@@ -249,6 +249,10 @@ impl Kind {
             Self::EmergencyStopOfBoth => &["emergency stop"],
             Self::Unplugged(_) => &["the link is gone"],
             Self::Arm { name: "arm: emergency stop" | "arm: limit switch", .. } => &["emergency stop", "switch"],
+            // The code of an alarm may be that of an emergency stop, and the gateway names the cause.
+            Self::Arm { name: "arm: servo alarm" | "arm: controller alarm", line, .. } if line.contains("0x11") => {
+                &["alarm", "exchanges in a row", "emergency stop"]
+            }
             Self::Arm { name: "arm: servo alarm" | "arm: controller alarm", .. } => &["alarm", "exchanges in a row"],
             Self::Arm { name: "arm: power", .. } => &["exchanges in a row", "power", "gateway", "alarm"],
             _ => &[],
@@ -273,6 +277,15 @@ impl Kind {
             Self::Arm { name: "arm: encoder jumps", line, .. } if amount(line) >= 0.12 => Some((0.0, MISSED_S)),
             Self::Arm { name: "arm: torque", line, .. } if amount(line) >= 130.0 => Some((MISSED_S, MISSED_S)),
             _ => None,
+        }
+    }
+
+    /// If controller or gateway stop the arm by themselves at this fault: the time within which the program knows it, seconds.
+    pub fn stops_beyond_the_host_s(&self) -> Option<f64> {
+        match self {
+            Self::Overrun(_) | Self::Unplugged(_) | Self::HostDies => None,
+            Self::Arm { name: "arm: encoder jumps" | "arm: torque", .. } => None,
+            _ => self.stops_after_s().map(|(lasts_s, within_s)| lasts_s + within_s),
         }
     }
 

@@ -44,6 +44,8 @@ pub struct Recorder {
     /// The record.
     pub truth: Truth,
     scenario: Scenario,
+    /// Time constants of the drives of both arms, seconds.
+    lag_s: [f64; 2],
     cell: SimulatedCell,
     arms: [(ArmMonitor, VirtualEnd); 2],
     begin: Option<MonotonicTime>,
@@ -103,6 +105,7 @@ impl Recorder {
     pub fn new(scenario: Scenario, cell: SimulatedCell, arms: [(ArmMonitor, VirtualEnd); 2]) -> Self {
         Self {
             truth: Truth::default(),
+            lag_s: scenario.workcell.rules().arms.map(|arm| arm.lag_s),
             cell,
             arms,
             begin: None,
@@ -208,18 +211,35 @@ impl Recorder {
     /// The joints of this arm that a fault moves or blocks, and those that do not obey: a joint that was driven away needs time to
     /// come to rest.
     fn disobedience(&self, arm: usize, at: MonotonicTime) -> [[bool; 7]; 2] {
-        const BACK_S: f64 = 0.1;
+        /// Time constants of a drive after which less than 0.3 % of a difference is left.
+        const LAGS: f64 = 6.0;
+        let back_s = LAGS * self.lag_s[arm];
         let times = self.began_at.iter().zip(&self.ended_at);
         let mut joints = [[false; 7]; 2];
         for (fault, (began, ended)) in self.scenario.faults.iter().zip(times) {
             let Some((_, joint)) = fault.kind.disobeys().filter(|(of, _)| *of == arm) else { continue };
             let since_s = ended.map_or(-1.0, |ended| at.seconds_since(ended));
-            if began.is_some_and(|began| began <= at) && since_s < BACK_S {
+            if began.is_some_and(|began| began <= at) && since_s < back_s {
                 joints[0][joint] |= since_s < 0.0;
                 joints[1][joint] = true;
             }
         }
         joints
+    }
+
+    /// Whether controller or gateway stop this arm, and the program may not know yet.
+    fn stops_by_itself(&self, arm: usize, at: MonotonicTime) -> bool {
+        let stops = |(fault, began): (&Fault, &Option<MonotonicTime>)| {
+            let is_about = fault.kind.arm().is_none_or(|about| about == arm);
+            let since_s = began.filter(|began| *began <= at).map(|began| at.seconds_since(began));
+            is_about
+                && fault
+                    .kind
+                    .stops_beyond_the_host_s()
+                    .zip(since_s)
+                    .is_some_and(|(within_s, since_s)| since_s <= within_s)
+        };
+        self.scenario.faults.iter().zip(&self.began_at).any(stops)
     }
 
     /// Whether commands to this arm may be lost or late.
@@ -391,29 +411,44 @@ impl Recorder {
 
     /// Records everything up to now.
     pub fn catch_up(&mut self, now: MonotonicTime) {
+        // What came before a latch is recorded without it.
+        let latches =
+            (0..2).filter(|arm| self.latched_since[*arm].is_none()).filter_map(|arm| self.latched_at(arm, now));
+        if let Some(first) = latches.min() {
+            self.record_before(first);
+        }
         self.look_for_latches(now);
         let counted = self.count();
         if counted != self.counted {
             self.noticed_s.push(self.t_s(now));
             self.counted = counted;
         }
-        while self.begin.is_some() && self.next <= now {
+        self.record_before(now + Duration::from_nanos(1));
+    }
+
+    fn record_before(&mut self, end: MonotonicTime) {
+        while self.begin.is_some() && self.next < end {
             let at = self.next;
             let step = self.step_at(at);
             self.truth.steps.push(step);
-            self.next = at + std::time::Duration::from_nanos(STEP_NANOS);
+            self.next = at + Duration::from_nanos(STEP_NANOS);
         }
+    }
+
+    /// Time since which this arm is latched, wherever it latched first; none if it is not.
+    fn latched_at(&self, arm: usize, now: MonotonicTime) -> Option<MonotonicTime> {
+        let (monitor, end) = &self.arms[arm];
+        let gateway = end.look(|far| far.gateway.as_ref().map(|gateway| gateway.status().state));
+        let by_gateway = matches!(gateway, Some(GatewayState::Fault | GatewayState::EmergencyStop));
+        let by_driver = monitor.snapshot().latched.map(|latched| latched.at);
+        let by_fault = self.stopped_by_fault(arm, now);
+        [by_driver, by_gateway.then_some(now), self.stopped_at, by_fault].into_iter().flatten().min()
     }
 
     fn look_for_latches(&mut self, now: MonotonicTime) {
         for (arm, name) in ARM_NAMES.into_iter().enumerate() {
-            let (monitor, end) = &self.arms[arm];
-            let seen = monitor.snapshot();
-            let gateway = end.look(|far| far.gateway.as_ref().map(|gateway| gateway.status().state));
-            let by_gateway = matches!(gateway, Some(GatewayState::Fault | GatewayState::EmergencyStop));
-            let by_fault = self.stopped_by_fault(arm, now);
-            let since = [seen.latched.map(|latched| latched.at), by_gateway.then_some(now), self.stopped_at, by_fault];
-            let since = since.into_iter().flatten().min();
+            let seen = self.arms[arm].0.snapshot();
+            let since = self.latched_at(arm, now);
             if self.latched_since[arm].is_none() && since.is_some() {
                 self.permission.latched();
             }
@@ -457,6 +492,7 @@ impl Recorder {
                 command_age_s: self.command_age_s(index, at),
                 // From the largest speed of a joint, 1.2 rad/s at 2 rad/s^2 (3.77 at 5), to standstill, and the delay of the arm.
                 ramps: self.held_at[index].is_some_and(|held| at.seconds_since(held) < 0.8),
+                stops_by_itself: self.stops_by_itself(index, at),
                 commands_disturbed: self.are_commands_disturbed(index, at),
                 ..self.truth_of(index, at)
             }

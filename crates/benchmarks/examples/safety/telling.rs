@@ -2,7 +2,7 @@
 
 use system_tests::safety::truth::{ARM_NAMES, Injected, Truth};
 
-use crate::faults::Fault;
+use crate::faults::{Fault, Kind};
 
 /// A fault that lasts this long and is not hidden is detected, seconds.
 const KNOWN_S: f64 = 0.02;
@@ -10,6 +10,8 @@ const KNOWN_S: f64 = 0.02;
 const LATE_S: f64 = 0.1;
 /// The log gives the reason of a stop within this time, seconds: the control loop stops both arms before.
 const STOPPED_S: f64 = 0.7;
+/// And is written within this time, seconds: `log_within_s` of the rules.
+const WRITTEN_S: f64 = 1.2;
 /// Resetting both arms takes this time, seconds; a control step waits for it.
 const RESET_S: f64 = 0.6;
 /// Tolerance of comparisons of times, seconds.
@@ -68,9 +70,20 @@ impl Faults<'_> {
         } else {
             known_s
         };
+        if self.host_dies_by(until_s + WRITTEN_S) {
+            return None;
+        }
         // A latched fault is reported at once, however long its cause lasts.
         let name = self.faults[index].name().to_owned();
         Some(Injected { name, from_s: known_s, until_s, had_effect: true, words })
+    }
+
+    /// Whether the process of the host, which writes the log, has died by this time.
+    fn host_dies_by(&self, at_s: f64) -> bool {
+        let mut faults = self.faults.iter().zip(self.times);
+        faults.any(|(fault, times)| {
+            matches!(fault.kind, Kind::HostDies) && times.from_s.is_some_and(|died_s| died_s <= at_s)
+        })
     }
 
     /// The earliest time at which the fault can be detected, from this time on: while a controller has no power, or its
@@ -125,7 +138,6 @@ fn latched(truth: &Truth, at_s: f64, before_s: f64) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::faults::Kind;
     use system_tests::safety::truth::{ArmTruth, LogLine, Placement, Step};
 
     fn arm(arm: usize, name: &'static str, line: &str, end: Option<&str>) -> Fault {
@@ -177,6 +189,13 @@ mod tests {
         assert!(told(&[switch()], &[never], &[]).is_empty());
         let late = Happened { could_stop: false, ..from_to(2.0, 3.0) };
         assert!(told(&[switch()], &[late], &[]).is_empty());
+    }
+
+    #[test]
+    fn a_process_that_has_died_tells_nothing() {
+        let dies = || Fault::new(Kind::HostDies, 0.0, 0.0);
+        assert!(told(&[switch(), dies()], &[from_to(2.0, 3.0), from_to(2.5, 2.5)], &[]).is_empty());
+        assert_eq!(told(&[switch(), dies()], &[from_to(2.0, 3.0), from_to(3.5, 3.5)], &[]), [(2.0, 2.0)]);
     }
 
     #[test]

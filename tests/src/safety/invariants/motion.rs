@@ -14,8 +14,9 @@ const ACCELERATION_SHARE: f64 = 1.3;
 const CYCLES_MORE: f64 = 2.0;
 /// Share of the jerk limit between two cycles.
 const JERK_SHARE: f64 = 1.1;
-/// Rounding of three commands to 1/5000 rad/s, of which the middle one counts twice: 4 times half a step, rad/s.
-const JERK_MORE_RAD_PER_S: f64 = 4e-4;
+/// Rounding of three commands, of which the middle one counts twice, by the host and again by a gateway that interpolates: each
+/// rounds to 1/5000 rad/s, so these are 2 * 4 times half a step, rad/s.
+const JERK_MORE_RAD_PER_S: f64 = 8e-4;
 /// Number of steps without a disturbance until the jerk counts: the differences, and a cycle.
 const JERK_AFTER_STEPS: usize = 20;
 /// Tolerance of the speed limit: commands are rounded to 1/5000 rad/s, and the record to 2 ms.
@@ -115,7 +116,8 @@ fn speed(
         true => step.t_s - *disobeyed.too_fast_since_s.get_or_insert(step.t_s),
         false => f64::INFINITY,
     };
-    if lasts_s >= rules.too_fast_s {
+    let allowed_s = if truth.commands_disturbed { rules.too_fast_s + rules.unseen_s } else { rules.too_fast_s };
+    if lasts_s >= allowed_s {
         let place = Place { invariant: Invariant::Speed, arm: Some(arm), joint: Some(joint), t_s: step.t_s };
         found.push(place, (value, limit), if by_itself { format!("for {lasts_s:.3} s") } else { String::new() });
     }
@@ -126,7 +128,7 @@ fn speed(
 /// those of its watchdog ([`Fade`]).
 fn acceleration(rules: &Rules, (arm, steps): (usize, &[Step]), window_s: f64, found: &mut Found) {
     let (mut from, mut commanded_since, mut undisturbed_since) = (0, [0; 7], 0);
-    let mut fade = Fade::default();
+    let mut fade = Fade { window_s, ..Fade::default() };
     for (index, step) in steps.iter().enumerate() {
         let truth = &step.arms[arm];
         fade.look((rules, &rules.arms[arm]), step.t_s, truth);
@@ -163,7 +165,7 @@ fn acceleration(rules: &Rules, (arm, steps): (usize, &[Step]), window_s: f64, fo
 
 /// Whether commands alone determine the motion of this joint.
 fn is_commanded(truth: &ArmTruth, joint: usize) -> bool {
-    let is_stopped = truth.brakes_closed || truth.latched_since_s.is_some();
+    let is_stopped = truth.brakes_closed || truth.stops_by_itself || truth.latched_since_s.is_some();
     truth.driven[joint] && !truth.disobeys[joint] && !is_stopped
 }
 
@@ -214,7 +216,8 @@ fn jerk(rules: &Rules, (arm, joint): (usize, usize), steps: &[Step], found: &mut
 /// speed loses no more within a window than the commanded one: its share of the time of the fade, times the speed before it.
 #[derive(Default)]
 struct Fade {
-    /// The drives may still follow the fade until this time.
+    window_s: f64,
+    /// Until this time a window may contain a moment at which the drives still followed the fade.
     until_s: f64,
     /// Speeds before it.
     speeds_rad_per_s: Joints,
@@ -229,7 +232,8 @@ impl Fade {
             self.speeds_rad_per_s = [0.0; 7];
         }
         if is_late {
-            self.until_s = t_s + arm.reaction_s + LAGS * arm.lag_s;
+            // A window that begins by then contains a part of the fade.
+            self.until_s = t_s + arm.reaction_s + LAGS * arm.lag_s + self.window_s;
         }
         if is_late || t_s <= self.until_s {
             for (speed, now) in self.speeds_rad_per_s.iter_mut().zip(&truth.velocity_rad_per_s) {

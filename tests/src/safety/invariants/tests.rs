@@ -176,6 +176,14 @@ fn a_joint_that_runs_away_may_be_too_fast_for_a_moment() {
     silent(&runs_away(0.7, 1, 0.778));
     let seen = only(Invariant::Speed, &runs_away(0.7, 1, 0.83));
     assert!((0.778..0.784).contains(&seen.first_s) && seen.note.starts_with("for 0.0"), "{seen}");
+    // Samples that are repeated, or a late control loop, hide it for up to 0.1 s more.
+    let hidden = |stopped_at_s: f64| {
+        let mut truth = runs_away(0.7, 1, stopped_at_s);
+        truth.steps.iter_mut().for_each(|step| step.arms[HAND_ARM].commands_disturbed = true);
+        truth
+    };
+    silent(&hidden(0.87));
+    only(Invariant::Speed, &hidden(0.89));
     // Below that speed the other invariants apply, also on the way back.
     silent(&runs_away(0.655, 1, 1.0));
     // The arm's other joints have no tolerance.
@@ -226,6 +234,28 @@ fn acceleration_beyond_the_limit_is_found_in_ramps_and_in_jumps() {
 }
 
 #[test]
+fn an_arm_that_stops_by_itself_brakes_as_its_brakes_do() {
+    let braking = |stops_by_itself: bool| {
+        let mut speed: f64 = 0.5;
+        run(
+            1.0,
+            |_, _| false,
+            move |step| {
+                let arm = &mut step.arms[TARGET_ARM];
+                speed = if step.t_s > 0.5 { (speed - 20.0 * PERIOD_S).max(0.0) } else { speed };
+                arm.velocity_rad_per_s[2] = speed;
+                arm.position_rad[2] += 0.5 * step.t_s.min(0.5);
+                arm.stops_by_itself = stops_by_itself && (0.5..0.62).contains(&step.t_s);
+            },
+        )
+    };
+    let found = found_in(&braking(false));
+    assert!(found.iter().any(|seen| seen.invariant == Invariant::Acceleration), "{found:?}");
+    let found = found_in(&braking(true));
+    assert!(found.iter().all(|seen| seen.invariant != Invariant::Acceleration), "{found:?}");
+}
+
+#[test]
 fn jerk_beyond_the_limit_is_found_unless_the_driver_brakes_the_arm() {
     let seen = only(Invariant::Jerk, &commanded(2.0, 120.0, |_| ()));
     assert!(seen.joint == Some(2) && (1.0..1.3).contains(&seen.value), "{seen}");
@@ -255,6 +285,22 @@ fn a_watchdog_may_slow_an_arm_down_only_when_a_command_is_late() {
     assert!(!broken(&fades(TARGET_ARM, 0.03)));
     assert!(broken(&fades(TARGET_ARM, 0.02)), "the command is not late");
     assert!(broken(&fades(HAND_ARM, 0.03)), "only the other arm hears nothing");
+    // In a window of 100 ms that begins within the fade the drive loses the rest of its speed, and brakes meanwhile.
+    let brakes_on = |rate: f64, since_s: f64| {
+        run(
+            1.0,
+            |_, _| false,
+            move |step| {
+                let faded = 0.15 * (1.0 - (-(step.t_s - 0.5).max(0.0) / 0.03).exp());
+                let arm = &mut step.arms[TARGET_ARM];
+                arm.velocity_rad_per_s[2] = (0.5 - faded - rate * (step.t_s - since_s).max(0.0)).max(0.0);
+                arm.commands_disturbed = true;
+                arm.command_age_s = if (0.48..0.5).contains(&step.t_s) { 0.03 } else { 0.0 };
+            },
+        )
+    };
+    assert!(!broken(&brakes_on(2.0, 0.5)));
+    assert!(broken(&brakes_on(6.0, 0.79)), "the fade is over");
     // From the other direction: an arm does not gain speed by its watchdog.
     let gains = run(1.0, always, |step| {
         step.arms[TARGET_ARM].command_age_s = 0.03;
