@@ -1,6 +1,7 @@
 //! Runs of the whole program in simulated time, with arms that are emulated byte by byte, in which one part stands still for a
-//! while.
+//! while, or is later than the program knows.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
@@ -15,7 +16,8 @@ use pb3dp_cell::percept::Percept;
 use pb3dp_cell::strip::Strip;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
-use pb3dp_servo::supervisor::{Permission, State, Why};
+use pb3dp_servo::TargetObservation;
+use pb3dp_servo::supervisor::{EstimateInput, FrameInput, Permission, State, Why};
 use pb3dp_setup::setup::{Carrier, Leader, Pace, Setup, read_setup};
 use pb3dp_sim::trajectory::MotionConfig;
 use pb3dp_wiring::{Wired, wire_cell};
@@ -47,6 +49,24 @@ pub struct Stall {
     pub from_s: f64,
     /// Its length, seconds.
     pub for_s: f64,
+}
+
+/// What disturbs a run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Disturbance {
+    /// Nothing.
+    None,
+    /// A part stands still once.
+    Stall(Stall),
+    /// Images are older than their time stamps by this time, seconds: the cameras keep some before they stamp them.
+    LateImages(f64),
+}
+
+impl Disturbance {
+    /// Whether this part stands still.
+    fn stops(self, part: Part, t_s: f64) -> bool {
+        matches!(self, Self::Stall(stall) if stall.stops(part, t_s))
+    }
 }
 
 impl Stall {
@@ -111,7 +131,7 @@ pub fn setup(motion: MotionConfig) -> Result<Setup> {
 ///
 /// # Errors
 /// If it cannot be built; a run that ends early is no error.
-pub fn run(setup: &Setup, stall: Option<Stall>, for_s: f64) -> Result<Ran> {
+pub fn run(setup: &Setup, disturbance: Disturbance, for_s: f64) -> Result<Ran> {
     let Wired { parts, virtual_ends, .. } = wire_cell(setup, |cell, start| {
         let motion = setup.experiment.motion.begin_at(start)?;
         cell.free_target = Some(FreeTarget::new(Arc::clone(&motion)));
@@ -122,17 +142,18 @@ pub fn run(setup: &Setup, stall: Option<Stall>, for_s: f64) -> Result<Ran> {
     let looking =
         Looking::new(setup, (parts.camera, parts.cell, parts.marking), (Strip::default(), &parts.clock), None)?;
     let moving = Moving::new(setup, (parts.vs, parts.tc), &*parts.experiment, clock.now())?;
-    let mut watching = Watching { looking, cell: cell.clone(), stall, clock: Arc::clone(&clock), begin: clock.now() };
+    let mut watching =
+        Watching { looking, cell: cell.clone(), disturbance, clock: Arc::clone(&clock), begin: clock.now() };
     let mut disturbed = Disturbed {
         inner: moving,
-        stall,
+        disturbance,
         clock: Arc::clone(&clock),
         cell,
         ends: virtual_ends.into_iter().map(|(_, end)| end).collect(),
         begin: clock.now(),
         sampled: clock.now(),
         progress: Progress::Before,
-        waiting: None,
+        waiting: VecDeque::new(),
         ran: Ran::default(),
     };
     let interrupt = AtomicBool::new(false);
@@ -172,7 +193,7 @@ impl Ran {
 struct Watching<'a> {
     looking: Looking<'a>,
     cell: SimulatedCell,
-    stall: Option<Stall>,
+    disturbance: Disturbance,
     clock: Arc<dyn Clock>,
     begin: MonotonicTime,
 }
@@ -193,7 +214,7 @@ impl Watcher for Watching<'_> {
     fn look(&mut self) -> Result<Option<Percept>> {
         let seen = self.looking.look()?.map(|seen| seen.percept());
         let t_s = self.clock.now().seconds_since(self.begin);
-        Ok(seen.filter(|_| !self.stall.is_some_and(|stall| stall.stops(Part::Camera, t_s))))
+        Ok(seen.filter(|_| !self.disturbance.stops(Part::Camera, t_s)))
     }
 
     fn note(&mut self) -> Result<()> {
@@ -211,15 +232,15 @@ enum Progress {
 /// The motion half with its stall, and the record of what is true.
 struct Disturbed<'a> {
     inner: Moving<'a>,
-    stall: Option<Stall>,
+    disturbance: Disturbance,
     clock: Arc<dyn Clock>,
     cell: SimulatedCell,
     ends: Vec<VirtualEnd>,
     begin: MonotonicTime,
     sampled: MonotonicTime,
     progress: Progress,
-    /// The newest percept that has not arrived, and when it does: the estimator leaves older pairs out.
-    waiting: Option<(MonotonicTime, Percept)>,
+    /// Percepts that have not arrived, and when they do.
+    waiting: VecDeque<(MonotonicTime, Percept)>,
     ran: Ran,
 }
 
@@ -236,9 +257,15 @@ impl Mover for Disturbed<'_> {
     }
 
     fn observe(&mut self, percept: Percept, now: MonotonicTime) {
-        match self.stall {
-            Some(stall) if stall.stops(Part::Estimator, now.seconds_since(self.begin)) => {
-                self.waiting = Some((self.begin + Duration::from_secs_f64(stall.until_s()), percept));
+        match self.disturbance {
+            Disturbance::Stall(stall) if stall.stops(Part::Estimator, now.seconds_since(self.begin)) => {
+                // The estimator leaves older pairs out.
+                self.waiting.clear();
+                self.waiting.push_back((self.begin + Duration::from_secs_f64(stall.until_s()), percept));
+            }
+            Disturbance::LateImages(by_s) => {
+                let by = Duration::from_secs_f64(by_s);
+                self.waiting.push_back((now + by, stamped_later(percept, by)));
             }
             _ => self.inner.observe(percept, now),
         }
@@ -246,7 +273,7 @@ impl Mover for Disturbed<'_> {
 
     fn step(&mut self, now: MonotonicTime) -> Result<Moved> {
         self.disturb(now)?;
-        if let Some((_, percept)) = self.waiting.take_if(|(due, _)| *due <= now) {
+        while let Some((_, percept)) = self.waiting.pop_front_if(|(due, _)| *due <= now) {
             self.inner.observe(percept, now);
         }
         let moved = self.inner.step(self.clock.now())?;
@@ -266,7 +293,7 @@ impl Mover for Disturbed<'_> {
 impl Disturbed<'_> {
     fn disturb(&mut self, now: MonotonicTime) -> Result<()> {
         let t_s = now.seconds_since(self.begin);
-        let Some(stall) = self.stall else { return Ok(()) };
+        let Disturbance::Stall(stall) = self.disturbance else { return Ok(()) };
         match self.progress {
             Progress::Before if t_s >= stall.from_s => self.progress = Progress::Within,
             Progress::Within if t_s >= stall.until_s() => self.progress = Progress::Over,
@@ -295,5 +322,15 @@ impl Disturbed<'_> {
             self.ran.places.push(TruePlace { t_s: at.seconds_since(self.begin), hand_mm });
             self.sampled = self.sampled + SAMPLED;
         }
+    }
+}
+
+/// The same percept with later time stamps.
+fn stamped_later(percept: Percept, by: Duration) -> Percept {
+    let Percept { frame, estimate, observation } = percept;
+    Percept {
+        frame: FrameInput { at: frame.at + by, ..frame },
+        estimate: EstimateInput { at: estimate.at + by, ..estimate },
+        observation: observation.map(|observation| TargetObservation { at: observation.at + by, ..observation }),
     }
 }

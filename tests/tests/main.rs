@@ -7,6 +7,7 @@ mod configs;
 mod control_no_allocation;
 mod disturbed;
 mod effective_limits;
+mod late_images;
 mod rates;
 mod real_pairs;
 mod real_time;

@@ -5,7 +5,7 @@ use pb3dp_servo::supervisor::{Resume, State};
 use pb3dp_setup::setup::Setup;
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig};
 
-use crate::disturbed::{Part, Ran, Stall, run, setup};
+use crate::disturbed::{Disturbance, Part, Ran, Stall, run, setup};
 
 /// The target moves at 100 mm/s around this time, seconds: after two periods of 2 pi seconds.
 const AT_S: f64 = 12.56;
@@ -25,12 +25,12 @@ fn following() -> Setup {
     setup(MotionConfig::Sine(motion)).unwrap()
 }
 
-fn ran(setup: &Setup, stall: Option<Stall>) -> Ran {
-    run(setup, stall, AT_S + 2.0).unwrap()
+fn ran(setup: &Setup, disturbance: Disturbance) -> Ran {
+    run(setup, disturbance, AT_S + 2.0).unwrap()
 }
 
-fn stall(part: Part, from_s: f64, millis: u32) -> Option<Stall> {
-    Some(Stall { part, from_s, for_s: f64::from(millis) * 1e-3 })
+fn stall(part: Part, from_s: f64, millis: u32) -> Disturbance {
+    Disturbance::Stall(Stall { part, from_s, for_s: f64::from(millis) * 1e-3 })
 }
 
 /// 40 ms: at most 8 mm beside the undisturbed run, averaged over the times in the control cycle at which they begin, and back within 0.3 s of
@@ -39,7 +39,7 @@ fn stall(part: Part, from_s: f64, millis: u32) -> Option<Stall> {
 #[test]
 fn a_stall_of_40_ms_costs_less_than_8_mm_on_average() {
     let setup = following();
-    let undisturbed = ran(&setup, None);
+    let undisturbed = ran(&setup, Disturbance::None);
     const PHASES_MILLIS: [u32; 5] = [1, 3, 5, 7, 9];
     // Without a newer pair the hand follows the prediction.
     for (part, limit_mm) in [(Part::Host, 9.0), (Part::Estimator, 0.5), (Part::Camera, 0.5)] {
@@ -70,7 +70,7 @@ fn longer_stalls_cost_more_and_the_longest_of_host_and_line_latch() {
         (Part::Link, [Some(2.0), None, None, None, None]),
     ];
     let setup = following();
-    let undisturbed = ran(&setup, None);
+    let undisturbed = ran(&setup, Disturbance::None);
     for (part, limits_mm) in limits_mm {
         for (millis, limit_mm) in LENGTHS_MILLIS.into_iter().zip(limits_mm) {
             let stalled = ran(&setup, stall(part, AT_S + HALF_A_CYCLE_S, millis));

@@ -59,6 +59,7 @@ impl Permitting {
             controller: control.mode,
             innovation: innovation(&control.observation),
             target_covariance: control.target_covariance,
+            images_late_s: control.images_late_s,
             estimate: newest.map(|percept| percept.estimate),
             frame: newest.map(|percept| percept.frame),
             range_end: nearest_end(&self.limits, &arms[0].1.position_rad),

@@ -3,9 +3,10 @@
 mod driving;
 
 use std::fmt;
+use std::time::Duration;
 
 use driving::Pace;
-use nalgebra::Matrix6;
+use nalgebra::{Matrix6, Vector3};
 use pb3dp_geometry::frames::{Base, Hand, Model};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_kinematics::{Chain, Damping, EffectiveLimits, JointState, JointVector};
@@ -16,6 +17,7 @@ use crate::config_error::ConfigError;
 use crate::given_commands::GivenCommands;
 use crate::joint_history::JointHistory;
 use crate::known_target::KnownTarget;
+use crate::late_images::{DELAYS_S, LateImages};
 use crate::law::pose_based::HandError;
 use crate::resolved_rate::{HandJacobian, Limitation};
 use crate::search::Search;
@@ -131,6 +133,8 @@ pub struct ControlStep {
     pub base_from_model: Option<Pose<Base, Model>>,
     /// Covariance of the predicted target pose at the time of the step: metres and radians, translation first, axes of the model.
     pub target_covariance: Option<Matrix6<f64>>,
+    /// How much older than their time stamps the images seem to be, seconds: the target seems to move with the hand.
+    pub images_late_s: Option<f64>,
     /// Desired pose of the hand.
     pub base_from_hand_desired: Option<Pose<Base, Hand>>,
     /// Time since the exposure of the last accepted observation, seconds.
@@ -157,6 +161,7 @@ pub struct Controller {
     history: JointHistory,
     given: GivenCommands,
     target: KnownTarget,
+    late_images: LateImages,
     /// Exposure time of the newest handled observation; observations that are not newer are ignored.
     handled_at: Option<MonotonicTime>,
     stepped_at: Option<MonotonicTime>,
@@ -192,6 +197,7 @@ impl Controller {
             history,
             given: GivenCommands::new(config.joint_history_samples),
             target: KnownTarget::none(&config.law)?,
+            late_images: LateImages::default(),
             handled_at: None,
             stepped_at: None,
             period_s: 0.0,
@@ -339,8 +345,26 @@ impl Controller {
         }
     }
 
+    /// Places an observation with the joints of earlier times, too.
+    fn compare_delays(&mut self, observation: &TargetObservation) {
+        let flange_from_model =
+            self.config.flange_from_hand * self.config.hand_from_cam_left * observation.cam_left_from_model;
+        let mut places_m = [Vector3::zeros(); DELAYS_S.len()];
+        let mut are_known = true;
+        for (place_m, delay_s) in places_m.iter_mut().zip(DELAYS_S) {
+            let position_rad = self.history.position_at(observation.at - Duration::from_secs_f64(delay_s));
+            let Ok(position_rad) = position_rad else {
+                are_known = false;
+                break;
+            };
+            *place_m = (self.chain.forward(&position_rad) * flange_from_model).translation_m();
+        }
+        self.late_images.take(observation.at, are_known.then_some(places_m));
+    }
+
     /// Transforms an observation to `base` with the joints at its time.
     fn place_target(&mut self, observation: &TargetObservation, position_rad: &JointVector) -> ObservationVerdict {
+        self.compare_delays(observation);
         let base_from_hand = self.chain.forward(position_rad) * self.config.flange_from_hand;
         let observed = base_from_hand * self.config.hand_from_cam_left * observation.cam_left_from_model;
         let verdict = self.target.take(&observed, observation);
@@ -385,6 +409,7 @@ impl Controller {
 
     fn forget(&mut self) {
         self.target.forget();
+        self.late_images.clear();
         self.approached_at = None;
         self.pace = Pace::rest();
     }
@@ -397,6 +422,7 @@ impl Controller {
             base_from_hand: None,
             base_from_model,
             target_covariance: self.target.at(now).map(|target| target.covariance),
+            images_late_s: self.late_images.delay_s(),
             base_from_hand_desired: None,
             observation_age_s: self.target.observed_at().map(|at| now.seconds_since(at)),
             position_error_m: None,

@@ -18,6 +18,7 @@ pub mod given_commands;
 pub mod identification;
 pub mod joint_history;
 mod known_target;
+mod late_images;
 pub mod law;
 pub mod redundancy;
 pub mod resolved_rate;

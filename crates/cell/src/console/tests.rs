@@ -80,6 +80,7 @@ pub fn decision() -> Decision {
         controller: Mode::Idle,
         innovation: Innovation::NoneNew,
         target_covariance: None,
+        images_late_s: None,
         estimate: None,
         frame: None,
         range_end: None,

@@ -286,6 +286,7 @@ impl Loop {
                 controller: Mode::Approaching,
                 innovation: Innovation::Agrees,
                 target_covariance: None,
+                images_late_s: None,
                 estimate: newest.map(|(_, estimate)| estimate),
                 frame: newest.map(|(frame, _)| frame),
                 range_end: None,

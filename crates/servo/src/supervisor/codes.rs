@@ -28,6 +28,7 @@ codes! {
         LimitNear = "PB3DP-SUP-019": "A joint of the arm that carries the cameras is near the end of its range."; "Move the target towards the middle of the arm's range.";
         Singularity = "PB3DP-SUP-020": "The arm that carries the cameras is near a singular pose."; "Move the target to where the arm is not stretched out.";
         ControllerRests = "PB3DP-SUP-021": "The controller outputs no velocity: it waits for consistent observations, or holds."; "Wait, or remove the reason that the message names.";
+        LateImages = "PB3DP-SUP-022": "The images are older than their time stamps: the target seems to move with the hand, and the hand would swing."; "Find what delays the images: buffers of the cameras, the driver, another program. Measure the delays with `pb3dp identify delay`, then use `resume`.";
     }
 }
 

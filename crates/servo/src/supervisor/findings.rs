@@ -159,7 +159,8 @@ impl Findings {
                 | Condition::OperatorSilent
                 | Condition::LimitNear
                 | Condition::Singularity
-                | Condition::ControllerRests => of_the_moment(condition, threshold, inputs, now),
+                | Condition::ControllerRests
+                | Condition::LateImages => of_the_moment(condition, threshold, inputs, now),
                 _ => self.of_the_target(condition, threshold, now),
             };
             let found = found.filter(|_| !safeguard(condition).is_some_and(is_off));
@@ -302,7 +303,8 @@ impl Findings {
     }
 }
 
-/// The safeguard of the condition, for tests; `None` for conditions that are only reported or slow the motion.
+/// The safeguard of the condition, for tests; `None` for conditions that are only reported or slow the motion, and for a loop that
+/// swings within all limits.
 const fn safeguard(condition: Condition) -> Option<Safeguard> {
     Some(match condition {
         Condition::EmergencyStop => Safeguard::EmergencyStop,
@@ -323,7 +325,9 @@ const fn safeguard(condition: Condition) -> Option<Safeguard> {
         Condition::OrientationUncertain => Safeguard::OrientationUncertain,
         Condition::CameraSkew => Safeguard::CameraSkew,
         Condition::ControllerRests => Safeguard::ControllerRests,
-        Condition::LowConfidence | Condition::LimitNear | Condition::Singularity => return None,
+        Condition::LowConfidence | Condition::LimitNear | Condition::Singularity | Condition::LateImages => {
+            return None;
+        }
     })
 }
 
@@ -358,6 +362,7 @@ fn of_the_moment(condition: Condition, threshold: f64, inputs: &Inputs, now: Mon
         }
         Condition::ControllerRests => (!matches!(inputs.controller, Mode::Approaching | Mode::Tracking))
             .then_some((0.0, Detail::Controller(inputs.controller))),
+        Condition::LateImages => above(inputs.images_late_s?, threshold),
         _ => None,
     }
 }

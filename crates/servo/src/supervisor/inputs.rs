@@ -19,6 +19,8 @@ pub struct Inputs {
     /// Covariance of the predicted target pose at the time of the step, metres and radians, translation first; `None` without a
     /// prediction.
     pub target_covariance: Option<Matrix6<f64>>,
+    /// How much older than their time stamps the images seem to be, seconds, as the controller finds.
+    pub images_late_s: Option<f64>,
     /// The newest estimate; `None` before the first one.
     pub estimate: Option<EstimateInput>,
     /// The newest frame pair; `None` before the first one.

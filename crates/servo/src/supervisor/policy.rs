@@ -51,6 +51,8 @@ pub enum Condition {
     Singularity,
     /// The controller commands no velocity.
     ControllerRests,
+    /// Images are older than their time stamps: the target seems to move with the hand.
+    LateImages,
 }
 
 /// A set of conditions.
@@ -159,7 +161,7 @@ pub struct SupervisorError {
 
 impl Condition {
     /// Number of conditions.
-    pub const COUNT: usize = 21;
+    pub const COUNT: usize = 22;
 
     /// All conditions.
     pub const ALL: [Self; Self::COUNT] = [
@@ -184,6 +186,7 @@ impl Condition {
         Self::LimitNear,
         Self::Singularity,
         Self::ControllerRests,
+        Self::LateImages,
     ];
 
     /// The name in configurations, logs and reports.
@@ -226,6 +229,7 @@ impl Condition {
             Self::LimitNear => rule("limit_near", Some(("distance_rad", 0.001, 0.5)), 1.0, Note, true),
             Self::Singularity => rule("singularity", Some(("singular_value", 0.001, 0.2)), 1.0, Note, true),
             Self::ControllerRests => rule("controller_rests", None, 0.0, Hold, true),
+            Self::LateImages => rule("late_images", Some(("late_s", 0.01, 0.2)), 0.5, Note, true),
         }
     }
 }

@@ -372,6 +372,10 @@ impl fmt::Display for Cause {
                 let (value, threshold) = (value * 1e3, threshold * 1e3);
                 write!(f, "the camera exposures are {value:.2} ms apart, limit {threshold:.2} ms")
             }
+            Condition::LateImages => {
+                let [late_ms, limit_ms] = [value, threshold].map(|seconds| seconds * 1e3);
+                write!(f, "the images are about {late_ms:.0} ms older than their time stamps, limit {limit_ms:.0} ms")
+            }
             Condition::LimitNear => {
                 let (value, threshold) = (value.to_degrees(), threshold.to_degrees());
                 let axis = Joint(detail);
@@ -455,6 +459,7 @@ fn remedy(cause: &Cause) -> &'static str {
         Condition::PositionJump | Condition::OrientationJump | Condition::Outlier => {
             "check that it is still the same target"
         }
+        Condition::LateImages => "find what delays the images, and measure the delays again",
         Condition::PositionUncertain | Condition::OrientationUncertain => "give the target more light, texture or size",
         Condition::CameraSkew => "check the camera trigger",
         Condition::LimitNear => "move the target towards the middle of the arm's range",

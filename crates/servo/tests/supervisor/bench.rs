@@ -49,6 +49,7 @@ fn policy(condition: Condition) -> Policy {
         Condition::LimitNear => (0.05, 0.0, Slow(0.3), ByItself),
         Condition::Singularity => (0.03, 0.0, Note, ByItself),
         Condition::ControllerRests => (0.0, 0.0, Hold, ByItself),
+        Condition::LateImages => (0.02, 0.0, Hold, ByOperator),
     };
     Policy { threshold, for_s, action, resume }
 }
@@ -73,6 +74,7 @@ pub fn good(now_s: f64) -> Inputs {
         controller: Mode::Tracking,
         innovation: Innovation::Agrees,
         target_covariance: None,
+        images_late_s: None,
         estimate: Some(EstimateInput {
             at: exposed_at,
             confidence: Confidence::Sure,

@@ -65,6 +65,7 @@ fn troubles() -> Vec<(Condition, Trouble, Option<f64>)> {
             |_| Box::new(|i| i.controller = Mode::Holding(HoldReason::JointRange { joint: 2 })),
             Some(0.0),
         ),
+        (Condition::LateImages, |_| Box::new(|i| i.images_late_s = Some(0.125)), Some(0.125)),
     ]
 }
 
@@ -122,6 +123,24 @@ fn each_condition_does_what_its_policy_says_when_it_has_lasted() {
             assert!(cause.value > policy.threshold, "{cause:?}");
         }
     }
+}
+
+/// The loop of late images must not grow while the supervisor waits.
+#[test]
+fn late_images_slow_the_hand_at_once_and_hold_it_then() {
+    let late = with(Condition::LateImages, |policy| policy.for_s = 0.1);
+    let mut bench = Bench::following(late);
+    bench.lie(|i| i.images_late_s = Some(0.125));
+    let decision = bench.step();
+    assert_eq!(decision.permission, Permission::Move { share: 0.3 }, "{}", decision.why);
+    assert!(bench.why().contains("125 ms"), "{}", bench.why());
+    bench.run(0.15);
+    assert_eq!(bench.state(), State::Holding);
+    // A policy that only notes it does not slow the hand either.
+    let mut bench = Bench::following(with(Condition::LateImages, |policy| policy.action = Action::Note));
+    bench.lie(|i| i.images_late_s = Some(0.125));
+    bench.run(0.2);
+    assert_eq!(bench.decision().permission, Permission::Move { share: 1.0 });
 }
 
 /// After the cause is gone, motion resumes automatically only if the policy allows it.

@@ -149,6 +149,7 @@ impl Told {
             controller: step.mode,
             innovation: step.innovation,
             target_covariance: Some(Matrix6::from_diagonal_element(step.variance)),
+            images_late_s: (step.variance > 1e-4).then_some(0.1),
             estimate: self.estimate,
             frame: self.frame,
             range_end: Some(RangeEnd { joint: 2, distance_rad: step.distance_rad }),

@@ -33,6 +33,7 @@ fn causes() -> Vec<(Cause, Vec<String>)> {
                 (0.1, 0.05, none, ["5.73 degrees", "2.86 degrees"])
             }
             Condition::CameraSkew => (0.0072, 0.005, none, ["7.20 ms", "5.00 ms"]),
+            Condition::LateImages => (0.125, 0.02, none, ["125 ms", "20 ms"]),
             Condition::LimitNear => {
                 (0.02, 0.05, vec![Detail::Joint(0), Detail::Joint(6)], ["1.15 degrees", "2.86 degrees"])
             }

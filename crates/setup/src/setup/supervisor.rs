@@ -46,6 +46,7 @@ struct PoliciesSection {
     limit_near: PolicySection,
     singularity: PolicySection,
     controller_rests: PolicySection,
+    late_images: PolicySection,
 }
 
 /// One policy; [`Threshold::of`] names the threshold of each condition.
@@ -65,6 +66,7 @@ struct PolicySection {
     sigma_mm: Option<f64>,
     sigma_deg: Option<f64>,
     skew_millis: Option<f64>,
+    late_millis: Option<f64>,
     singular_value: Option<f64>,
 }
 
@@ -112,6 +114,7 @@ impl Threshold {
             Condition::PositionUncertain => ("sigma_mm", in_mm, from_millis),
             Condition::OrientationUncertain => ("sigma_deg", in_deg, f64::to_radians),
             Condition::CameraSkew => ("skew_millis", in_millis, from_millis),
+            Condition::LateImages => ("late_millis", in_millis, from_millis),
             Condition::LimitNear => ("distance_deg", in_deg, f64::to_radians),
             Condition::Singularity => ("singular_value", same, same),
             Condition::EmergencyStop
@@ -238,6 +241,7 @@ impl PoliciesSection {
             Condition::LimitNear => &self.limit_near,
             Condition::Singularity => &self.singularity,
             Condition::ControllerRests => &self.controller_rests,
+            Condition::LateImages => &self.late_images,
         }
     }
 }
@@ -285,7 +289,7 @@ impl PolicySection {
         Policy { threshold, for_s, action, resume }
     }
 
-    fn thresholds(&self) -> [(&'static str, Option<f64>); 10] {
+    fn thresholds(&self) -> [(&'static str, Option<f64>); 11] {
         [
             ("age_s", self.age_s),
             ("step_s", self.step_s),
@@ -296,6 +300,7 @@ impl PolicySection {
             ("sigma_mm", self.sigma_mm),
             ("sigma_deg", self.sigma_deg),
             ("skew_millis", self.skew_millis),
+            ("late_millis", self.late_millis),
             ("singular_value", self.singular_value),
         ]
     }
