@@ -28,9 +28,8 @@ const NOISE_M: [f64; 2] = [0.2e-3, 0.1e-3];
 const STEP_MAX: f64 = 1.5;
 /// What each observation takes: a delay must explain the places much better, or its sum falls.
 const DRIFT: f64 = 0.3;
-/// Both sums must exceed these numbers. Fitted to 270 drawn hands (gain 0.8 to 1, delay 10 to 130 ms, lag 10 to 80 ms, noise up to 2 mm)
-/// behind targets at up to 2.6 m/s^2, and to ten targets of tests/tests/late_images.rs: both exceed them in three cases, for at most three
-/// observations, where a hand is less than 50 ms behind a target that starts with 2 m/s^2 or more.
+/// Both sums must exceed these numbers. Fitted to the runs of tests/tests/late_images.rs, and to drawn hands like those of the tests below: of
+/// 270 hands behind targets that start with up to 2.6 m/s^2, 8 exceed both, for at most 6 observations.
 const EVIDENCE_MIN: [f64; 2] = [2.0, 0.9];
 /// A later observation after such a gap begins anew, seconds: three periods of a camera at 30 Hz.
 const GAP_MAX_S: f64 = 0.1;
@@ -154,25 +153,59 @@ mod tests {
         assert!(found(0.2, |_| 0.1, |t_s| 0.05 * (3.0 * t_s).sin()).is_empty(), "a hand at rest shows nothing");
     }
 
-    /// Hands with a delay of 30 ms and a lag of 30 ms behind targets that start at 1.3 s. The quickest one, with 2 m/s^2, seems to move with
-    /// the hand for a moment, shorter than the policy waits.
+    const STEP_S: f64 = 0.005;
+
+    /// A hand with a gain, a delay and a lag behind a target.
+    fn behind(target: impl Fn(f64) -> f64, gain: f64, delay_s: f64, lag_s: f64) -> impl Fn(f64) -> f64 {
+        let mut places = vec![0.0];
+        for step in 1..1100 {
+            let before: f64 = places[step - 1];
+            places.push(before + (gain * target(step as f64 * STEP_S - delay_s) - before) * STEP_S / lag_s);
+        }
+        move |t_s| {
+            let (step, share) = ((t_s / STEP_S) as usize, (t_s / STEP_S).fract());
+            places[step] + (places[step + 1] - places[step]) * share
+        }
+    }
+
+    /// Targets that start at 1.3 s with up to 1 m/s^2.
     #[test]
     fn a_target_that_the_hand_follows_shows_none() {
-        const STEP_S: f64 = 0.005;
-        for (amplitude, rate, most) in [(0.05, 1.57, 0), (0.1, 2.0, 0), (0.1, 3.14, 0), (0.05, 6.28, 3)] {
+        for (amplitude, rate) in [(0.05, 1.57), (0.1, 2.0), (0.1, 3.14)] {
             let target = move |t_s: f64| amplitude * (1.0 - (rate * (t_s - 1.3f64).max(0.0)).cos());
-            let mut places = vec![0.0];
-            for step in 1..1100 {
-                let before: f64 = places[step - 1];
-                places.push(before + (target(step as f64 * STEP_S - 0.03) - before) * STEP_S / 0.03);
-            }
-            let hand = |t_s: f64| {
-                let (step, share) = ((t_s / STEP_S) as usize, (t_s / STEP_S).fract());
-                places[step] + (places[step + 1] - places[step]) * share
-            };
-            let seen = found(0.0, hand, target);
-            assert!(seen.len() <= most, "{amplitude} m, {rate} rad/s: {seen:?}");
+            let seen = found(0.0, behind(target, 1.0, 0.03, 0.03), target);
+            assert!(seen.is_empty(), "{amplitude} m, {rate} rad/s: {seen:?}");
         }
+    }
+
+    /// 270 drawn hands behind targets that start with up to 2.6 m/s^2: gains of 0.8 to 1, delays of 10 to 130 ms, lags of 10 to 80 ms.
+    #[test]
+    fn of_quick_targets_few_seem_to_move_with_the_hand_and_for_a_moment() {
+        let mut bits = 5u64;
+        let mut within = |least: f64, most: f64| {
+            bits = bits.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            least + (most - least) * (bits >> 11) as f64 / (1u64 << 53) as f64
+        };
+        let targets = [
+            (0.05, 1.57),
+            (0.1, 2.0),
+            (0.1, 3.14),
+            (0.05, 6.28),
+            (0.1, 5.0),
+            (0.04, 3.14),
+            (0.15, 4.19),
+            (0.02, 8.0),
+            (0.1, 1.0),
+        ];
+        let (mut count, mut longest) = (0, 0);
+        for (amplitude, rate) in targets.into_iter().cycle().take(270) {
+            let target = move |t_s: f64| amplitude * (1.0 - (rate * (t_s - 1.3f64).max(0.0)).cos());
+            let hand = behind(target, within(0.8, 1.0), within(0.01, 0.13), within(0.01, 0.08));
+            let seen = found(0.0, hand, target).len();
+            (count, longest) = (count + usize::from(seen > 0), longest.max(seen));
+        }
+        println!("{count} of 270, for at most {longest} observations");
+        assert!(count <= 10 && longest <= 6, "{count} of 270, for at most {longest} observations");
     }
 
     #[test]
