@@ -35,6 +35,16 @@ impl Became {
     }
 }
 
+/// The state of the supervisor in which each fault began; none if it did not begin.
+pub fn states(times: &[Happened], truth: &Truth) -> Vec<Option<&'static str>> {
+    let state = |times: &Happened| {
+        let from_s = times.from_s?;
+        // The step in which it begins may already show its effect.
+        truth.steps.iter().take_while(|step| step.t_s < from_s).last().or(truth.steps.first()).map(|step| step.state)
+    };
+    times.iter().map(state).collect()
+}
+
 /// Outcomes of all faults.
 pub fn all(scenario: &Scenario, times: &[Happened], recording: &Recorder) -> Vec<Became> {
     let faults = scenario.faults.iter().zip(times).enumerate();

@@ -48,6 +48,8 @@ pub struct Figures {
     pub violations: BTreeMap<String, Vec<u64>>,
     /// By kind of fault.
     pub faults: BTreeMap<&'static str, Count>,
+    /// By kind of fault, and by the state of the supervisor in which it began: number with an effect, and number of these noticed.
+    pub states: BTreeMap<&'static str, BTreeMap<&'static str, [u64; 2]>>,
     /// By kind of motion.
     pub motions: BTreeMap<&'static str, u64>,
     /// Reasons why control loops ended.
@@ -81,7 +83,13 @@ impl Figures {
             seeds.sort_unstable();
             seeds.dedup();
         }
-        for (fault, became) in scenario.faults.iter().zip(&ran.became) {
+        for ((fault, became), state) in scenario.faults.iter().zip(&ran.became).zip(&ran.states) {
+            let had_effect = matches!(became, Became::Borne | Became::Noticed);
+            if let Some(state) = state.filter(|_| had_effect) {
+                let [seen, noticed] = self.states.entry(fault.name()).or_default().entry(state).or_default();
+                *seen += 1;
+                *noticed += u64::from(*became == Became::Noticed);
+            }
             let count = self.faults.entry(fault.name()).or_default();
             count.drawn += 1;
             count.begun += u64::from(*became != Became::AfterTheEnd);

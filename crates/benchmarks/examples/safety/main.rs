@@ -39,7 +39,7 @@ use workcell::Setups;
 /// Runs of a full measurement.
 const RUNS: u64 = 20_000;
 /// Number of these runs that are repeated with images.
-const RENDERED: u64 = 24;
+const RENDERED: u64 = 200;
 /// Runs of a quick measurement.
 const QUICK_RUNS: u64 = 200;
 

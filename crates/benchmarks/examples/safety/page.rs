@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use anyhow::Context;
+use pb3dp_servo::supervisor::State;
 
 #[cfg(feature = "disabled-guards")]
 use pb3dp_safeguards::Safeguard;
@@ -127,6 +128,36 @@ fn write_rendered(page: &mut String, figures: &Figures) -> std::fmt::Result {
     write_violations(page, figures, true)
 }
 
+/// Faults by the state in which they began, and what the runs have not covered.
+fn write_states(page: &mut String, figures: &Figures) -> std::fmt::Result {
+    let names = State::ALL.map(State::name);
+    writeln!(
+        page,
+        "\n## Faults by state\n\n\
+         Number of faults with an effect by the state of the supervisor in which they began, and the share of these that was noticed.\n"
+    )?;
+    writeln!(page, "| fault | {} |\n|---|{}", names.join(" | "), "---|".repeat(names.len()))?;
+    let mut missing = Vec::new();
+    for name in figures.faults.keys() {
+        let counts = names.map(|state| figures.states.get(name).and_then(|states| states.get(state)).copied());
+        let cell = |count: &Option<[u64; 2]>| {
+            count.map_or_else(String::new, |[seen, noticed]| {
+                format!("{seen}, {:.0} %", 100.0 * noticed as f64 / seen as f64)
+            })
+        };
+        writeln!(page, "| {name} | {} |", counts.iter().map(cell).collect::<Vec<_>>().join(" | "))?;
+        let without = counts.iter().zip(names).filter(|(count, _)| count.is_none()).map(|(_, state)| state);
+        let without: Vec<_> = without.collect();
+        if !without.is_empty() {
+            missing.push(format!("* {name}: {}", without.join(", ")));
+        }
+    }
+    if !missing.is_empty() {
+        writeln!(page, "\nNot covered: no run has a fault with an effect in these states.\n\n{}", missing.join("\n"))?;
+    }
+    Ok(())
+}
+
 fn write(page: &mut String, figures: &Figures, rendered: &Figures, (seed, origin): (u64, &str)) -> std::fmt::Result {
     let Figures { runs, virtual_s, searches: (searches, searched_s), .. } = figures;
     writeln!(page, "{HEADING}\n")?;
@@ -162,6 +193,7 @@ fn write(page: &mut String, figures: &Figures, rendered: &Figures, (seed, origin
         let share = 100.0 * noticed as f64 / (begun - without_effect).max(1) as f64;
         writeln!(page, "| {name} | {drawn} | {begun} | {without_effect} | {share:.0} % |")?;
     }
+    write_states(page, figures)?;
     writeln!(page, "\n## Targets\n\n| motion | runs |\n|---|---|")?;
     for (name, count) in &figures.motions {
         writeln!(page, "| {name} | {count} |")?;

@@ -56,6 +56,8 @@ pub struct Ran {
     pub ended: Option<String>,
     /// Outcome of each fault of the scenario.
     pub became: Vec<Became>,
+    /// State of the supervisor in which each fault began.
+    pub states: Vec<Option<&'static str>>,
     /// Start of the control loop after that of the camera, seconds.
     pub lead_s: f64,
     /// Commands, conditions and latches, for a trace.
@@ -174,8 +176,9 @@ fn afterwards(
     let faults = Faults { faults: &scenario.faults, times: &times, resets_s: &resets_s };
     recording.truth.injected = faults.to_be_told(&recording.truth);
     let became = effects::all(scenario, &times, &recording);
+    let states = effects::states(&times, &recording.truth);
     let notes = std::mem::take(&mut recording.notes);
-    Ran { truth: std::mem::take(&mut recording.truth), ended, became, lead_s, notes }
+    Ran { truth: std::mem::take(&mut recording.truth), ended, became, states, lead_s, notes }
 }
 
 /// The perception thread with its faults.
