@@ -1,7 +1,7 @@
 //! Which arms hold, and until when: the command `hold` holds both arms, `hold hand` the camera arm alone.
 
 use super::bench::{Bench, at, config, with};
-use pb3dp_servo::supervisor::{Action, Condition, OperatorCommand, Permission, State};
+use pb3dp_servo::supervisor::{Action, Condition, OperatorCommand, Permission, RefusedFor, State};
 
 /// The hand holds; returns whether the arm with the target holds too, in all steps of a second.
 fn both_hold(bench: &mut Bench) -> bool {
@@ -70,4 +70,40 @@ fn after_a_silence_or_a_clock_step_the_arm_with_the_target_waits_for_the_operato
     bench.step();
     assert!(both_hold(&mut bench), "the clock stepped");
     assert!(!bench.say(OperatorCommand::Resume).no_arm_may_move);
+}
+
+/// A slow line delivers a command after a later one that ends motion, in a state that this one leaves as it is.
+#[test]
+fn what_was_said_before_a_later_hold_or_stop_moves_nothing() {
+    for hold in [OperatorCommand::Hold, OperatorCommand::HoldHand] {
+        let mut bench = Bench::following(config());
+        bench.say(OperatorCommand::Hold);
+        bench.run(0.5);
+        let said_s = bench.now_s;
+        bench.run(0.05);
+        bench.say(hold);
+        let decision = bench.say_at(OperatorCommand::Resume, said_s);
+        assert_eq!(decision.refused.unwrap().because, RefusedFor::OlderThanState(State::Holding), "{hold:?}");
+        assert!(!bench.run(2.0), "{}", bench.why());
+        assert_eq!(bench.say(OperatorCommand::Resume).state, State::Approaching);
+
+        let mut bench = Bench::new(config());
+        bench.say(OperatorCommand::Select);
+        bench.run(0.5);
+        let said_s = bench.now_s;
+        bench.run(0.05);
+        bench.say(hold);
+        let decision = bench.say_at(OperatorCommand::Start, said_s);
+        assert_eq!(decision.refused.unwrap().because, RefusedFor::OlderThanState(State::Selecting), "{hold:?}");
+        assert!(!bench.run(2.0), "{}", bench.why());
+    }
+    let mut bench = Bench::following(config());
+    bench.say(OperatorCommand::Stop);
+    bench.run(0.1);
+    let said_s = bench.now_s;
+    bench.run(0.05);
+    bench.say(OperatorCommand::Stop);
+    let decision = bench.say_at(OperatorCommand::Reset, said_s);
+    assert_eq!(decision.refused.unwrap().because, RefusedFor::OlderThanState(State::Stopped));
+    assert_eq!(bench.state(), State::Stopped);
 }

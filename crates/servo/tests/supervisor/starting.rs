@@ -222,40 +222,6 @@ fn start_that_was_said_to_another_selection() {
     stays_at_rest(&mut bench);
 }
 
-/// A slow line delivers a command after a later one that ends motion, in a state that this one leaves as it is.
-#[test]
-fn what_was_said_before_a_later_hold_or_stop_moves_nothing() {
-    for hold in [OperatorCommand::Hold, OperatorCommand::HoldHand] {
-        let mut bench = Bench::following(config());
-        bench.say(OperatorCommand::Hold);
-        bench.run(0.5);
-        let said_s = bench.now_s;
-        bench.run(0.05);
-        bench.say(hold);
-        let decision = bench.say_at(OperatorCommand::Resume, said_s);
-        assert_eq!(decision.refused.unwrap().because, RefusedFor::OlderThanState(State::Holding), "{hold:?}");
-        stays_at_rest(&mut bench);
-        assert_eq!(bench.say(OperatorCommand::Resume).state, State::Approaching);
-
-        let mut bench = selected();
-        let said_s = bench.now_s;
-        bench.run(0.05);
-        bench.say(hold);
-        let decision = bench.say_at(OperatorCommand::Start, said_s);
-        assert_eq!(decision.refused.unwrap().because, RefusedFor::OlderThanState(State::Selecting), "{hold:?}");
-        stays_at_rest(&mut bench);
-    }
-    let mut bench = Bench::following(config());
-    bench.say(OperatorCommand::Stop);
-    bench.run(0.1);
-    let said_s = bench.now_s;
-    bench.run(0.05);
-    bench.say(OperatorCommand::Stop);
-    let decision = bench.say_at(OperatorCommand::Reset, said_s);
-    assert_eq!(decision.refused.unwrap().because, RefusedFor::OlderThanState(State::Stopped));
-    assert_eq!(bench.state(), State::Stopped);
-}
-
 #[test]
 fn start_said_twice_does_no_more_than_once() {
     let mut bench = Bench::following(config());
