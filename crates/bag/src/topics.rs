@@ -12,6 +12,8 @@ pub mod ours {
     pub const LEFT_COMPRESSED: &str = "/left/image_raw/compressed";
     /// Right images as JPEG of the camera.
     pub const RIGHT_COMPRESSED: &str = "/right/image_raw/compressed";
+    /// Exposure of both cameras, if the program controls it: an object with the announcement of each change.
+    pub const EXPOSURE: &str = "/pb3dp/exposure";
     /// Calibration of the left camera.
     pub const LEFT_INFO: &str = "/left/camera_info";
     /// Calibration of the right camera.

@@ -2,6 +2,7 @@
 //!
 //! A page has the [`ControlDesk`], the owner of the cameras the [`ControlEnd`]. The cameras answer between two pairs.
 
+use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -155,6 +156,33 @@ pub enum ControlRequest {
     },
 }
 
+/// The target of a run: it decides how the exposure may change.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum FollowedTarget {
+    /// There is none.
+    #[default]
+    Nothing,
+    /// Its depth is known with confidence.
+    Confident,
+    /// Its pose is not confident, or the target is lost.
+    Doubtful,
+}
+
+/// A [`FollowedTarget`] for two threads.
+#[derive(Clone, Debug, Default)]
+struct SharedTarget(Arc<AtomicU8>);
+
+impl SharedTarget {
+    fn set(&self, target: FollowedTarget) {
+        self.0.store(target as u8, Ordering::Relaxed);
+    }
+
+    fn get(&self) -> FollowedTarget {
+        let all = [FollowedTarget::Nothing, FollowedTarget::Confident, FollowedTarget::Doubtful];
+        all.into_iter().find(|target| *target as u8 == self.0.load(Ordering::Relaxed)).unwrap_or_default()
+    }
+}
+
 /// Receives the result of a request: why it failed, in words. It is dropped if the cameras are closed before.
 pub type ControlAnswer = Box<dyn FnOnce(Result<(), String>) + Send>;
 
@@ -172,25 +200,36 @@ pub struct PendingControl {
 pub struct ControlDesk {
     requests: SyncSender<PendingControl>,
     shown: Arc<Mutex<ShownCameras>>,
+    target: SharedTarget,
 }
 
 /// The end of the cameras.
 pub struct ControlEnd {
     requests: Receiver<PendingControl>,
     shown: Arc<Mutex<ShownCameras>>,
+    target: SharedTarget,
 }
 
 /// Both ends.
 pub fn control_desk() -> (ControlDesk, ControlEnd) {
     let (give, requests) = sync_channel(REQUESTS_MAX);
     let shown = Arc::<Mutex<ShownCameras>>::default();
-    (ControlDesk { requests: give, shown: Arc::clone(&shown) }, ControlEnd { requests, shown })
+    let target = SharedTarget::default();
+    (
+        ControlDesk { requests: give, shown: Arc::clone(&shown), target: target.clone() },
+        ControlEnd { requests, shown, target },
+    )
 }
 
 impl ControlDesk {
     /// Both cameras as they were last.
     pub fn shown(&self) -> ShownCameras {
         lock(&self.shown).clone()
+    }
+
+    /// States what the run follows: cameras with a shared exposure change it slowly then, or not at all.
+    pub fn note_target(&self, target: FollowedTarget) {
+        self.target.set(target);
     }
 
     /// Asks the cameras. A request that no camera has taken at the time `until` is refused, so that nothing is set late.
@@ -220,6 +259,11 @@ impl ControlEnd {
         None
     }
 
+    /// What the run follows.
+    pub fn target(&self) -> FollowedTarget {
+        self.target.get()
+    }
+
     /// Changes what is shown.
     pub fn show(&self, change: impl FnOnce(&mut ShownCameras)) {
         change(&mut lock(&self.shown));
@@ -236,6 +280,16 @@ mod tests {
 
     fn at(millis: u64) -> MonotonicTime {
         MonotonicTime::from_nanos(millis * 1_000_000)
+    }
+
+    #[test]
+    fn the_cameras_know_what_is_followed() {
+        let (desk, end) = control_desk();
+        assert_eq!(end.target(), FollowedTarget::Nothing);
+        for target in [FollowedTarget::Confident, FollowedTarget::Doubtful, FollowedTarget::Nothing] {
+            desk.note_target(target);
+            assert_eq!(end.target(), target);
+        }
     }
 
     #[test]

@@ -70,8 +70,9 @@ pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: O
     let log = RunLog { marks, ..RunLog::default() };
     let strip = Strip::of(setup.experiment.moments(&log.marks));
     let now = clock.now();
-    let looking =
-        Looking::new(setup, (camera, cell.clone(), marking), (strip, &clock), record)?.with_selections(selections);
+    let looking = Looking::new(setup, (camera, cell.clone(), marking), (strip, &clock), record)?
+        .with_selections(selections)
+        .with_controls(parts.camera_controls);
     let mut moving = Moving::new(setup, (vs, tc), &*experiment, now)?.with_operator(operator);
     let ends_s = stop_after_s.map_or(duration_s, |s| s.clamp(0.0, duration_s));
     let plan = Plan::of(&setup.experiment.motion, &*experiment);

@@ -17,6 +17,7 @@ use pb3dp_servo::JointHistory;
 use pb3dp_setup::setup::{Pace, Setup};
 
 use super::both_arms::in_words;
+use super::camera_controls::{ControlDesk, FollowedTarget};
 use super::capturing::{Captured, Capturing};
 use super::cell::{JOINT_GAP_MAX_S, SimulatedCell};
 use super::halves::Capture;
@@ -62,6 +63,13 @@ impl<'a> Looking<'a> {
         self
     }
 
+    /// The same with the controls of real cameras.
+    #[must_use]
+    pub fn with_controls(mut self, controls: Option<ControlDesk>) -> Self {
+        self.estimating.controls = controls;
+        self
+    }
+
     /// Sets the start time of the experiment.
     pub fn begin_at(&mut self, begin: MonotonicTime) {
         self.noting.begin_at(begin);
@@ -96,6 +104,8 @@ pub struct Estimating<'a> {
     target: u64,
     /// Targets that an operator selects during the run.
     selections: Option<Selections>,
+    /// Controls of real cameras.
+    controls: Option<ControlDesk>,
     /// What the operator has selected for the next pair.
     selected: Option<Choice>,
     /// The target is the one that the setup names.
@@ -118,6 +128,7 @@ impl<'a> Estimating<'a> {
             cameras,
             target: 0,
             selections: None,
+            controls: None,
             selected: None,
             is_of_setup: true,
             joints,
@@ -173,6 +184,9 @@ impl<'a> Estimating<'a> {
                 (region, estimate, prior)
             }
         };
+        if let Some(controls) = &self.controls {
+            controls.note_target(self.followed(&estimate));
+        }
         let latency_millis = started.elapsed().as_secs_f64() * 1e3;
         if region.is_some() {
             for warning in &estimate.warnings {
@@ -189,6 +203,17 @@ impl<'a> Estimating<'a> {
         let age_millis = age.as_secs_f64() * 1e3;
         let (steps, target) = (self.steps, self.target);
         Ok(PairEstimate { captured, steps, chosen, target, region, prior, estimate, latency_millis, age_millis })
+    }
+
+    /// The target, for the exposure of the cameras.
+    fn followed(&self, estimate: &TrackEstimate) -> FollowedTarget {
+        if !self.cameras.follows() {
+            FollowedTarget::Nothing
+        } else if estimate.cam_left_from_model.is_some() && estimate.status.depth_is_sure() {
+            FollowedTarget::Confident
+        } else {
+            FollowedTarget::Doubtful
+        }
     }
 
     /// Starts with the target that the setup names, in the present images. If it is not in view, there is no target.
@@ -282,7 +307,15 @@ mod tests {
         let image = |shift: u32| RgbImage::from_fn(size.width, size.height, |u, v| grey(u + shift, v));
         let at = MonotonicTime::from_secs_f64(sequence as f64 / 30.0);
         let (left, right) = (image(0), image(148));
-        let pair = FramePair { sequence, exposed_at: at, skew_nanos: 0, left, right, delivered: Default::default() };
+        let pair = FramePair {
+            sequence,
+            exposed_at: at,
+            skew_nanos: 0,
+            left,
+            right,
+            delivered: Default::default(),
+            exposure: None,
+        };
         let frame = FrameInput { sequence, at, skew_s: 0.0 };
         Captured { frame, cam_left_from_target: None, view: View::Images(Arc::new(pair)) }
     }

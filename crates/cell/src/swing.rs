@@ -61,9 +61,10 @@ pub fn duration(motion: &Excitation) -> Duration {
 /// # Errors
 /// If an arm, the camera or the estimator fails permanently; the arms are stopped first.
 pub fn run(setup: &Setup, parts: Parts, motion: Excitation) -> Result<Swung> {
-    let Parts { clock, camera, vs, tc, cell, marking, emulated, interrupt, .. } = parts;
+    let Parts { clock, camera, camera_controls, vs, tc, cell, marking, emulated, interrupt, .. } = parts;
     let sight = (camera, cell, marking);
-    let mut looking = OnlyLooking(Looking::new(setup, sight, (Strip::default(), &clock), None)?);
+    let looking = Looking::new(setup, sight, (Strip::default(), &clock), None)?.with_controls(camera_controls);
+    let mut looking = OnlyLooking(looking);
     let arms = BothArms::new(setup, (vs, tc), clock.now());
     let mut swinging = Swinging::new(setup, arms, motion)?;
     let course = Course { setup, clock: &clock, duration: duration(&motion), interrupt: &interrupt };

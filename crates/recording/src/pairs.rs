@@ -15,7 +15,7 @@ use pb3dp_bag::sinks::{Finished, Sinks};
 use pb3dp_bag::topics::ours;
 use pb3dp_geometry::frames::Frame;
 use pb3dp_geometry::{MonotonicTime, Pose, StereoRig};
-use pb3dp_hal_api::{DeliveredImage, FramePair};
+use pb3dp_hal_api::{DeliveredImage, FramePair, PairExposure};
 use pb3dp_kinematics::{Chain, JointVector};
 use pb3dp_record::calibration_files::{
     CAMERAS_FILE, CalibrationFileError, CameraIdentity, RosCameraInfo, cameras_text, json_text, ros_camera_infos,
@@ -70,6 +70,8 @@ pub struct PairRecording {
     pub(crate) sinks: Sinks,
     since_1970: Duration,
     infos: Option<[CameraInfo; 2]>,
+    /// The exposure of both cameras that was recorded last.
+    exposure: Option<PairExposure>,
 }
 
 impl PairRecording {
@@ -83,7 +85,7 @@ impl PairRecording {
         };
         let infos = rig.and_then(|rig| ros_camera_infos(rig).inspect_err(told).ok());
         let infos = infos.map(|infos| [0, 1].map(|side| camera_info(CAMERAS[side], &infos[side])));
-        let mut recording = Self { sinks, since_1970: about.since_1970, infos };
+        let mut recording = Self { sinks, since_1970: about.since_1970, infos, exposure: None };
         let zero = MonotonicTime::ZERO;
         recording.push(ours::VERSION, zero, &Text { data: about.version.clone() });
         if let Some(rig) = rig {
@@ -104,6 +106,7 @@ impl PairRecording {
 
     /// Records a pair, its images as the camera has delivered them.
     pub fn images(&mut self, pair: &FramePair) {
+        self.exposure(pair);
         let right_at = MonotonicTime::from_nanos(pair.exposed_at.as_nanos().saturating_add_signed(pair.skew_nanos));
         let sides = [
             (&pair.left, pair.exposed_at, [ours::LEFT_IMAGE, ours::LEFT_COMPRESSED, ours::LEFT_INFO]),
@@ -124,6 +127,22 @@ impl PairRecording {
                 None => self.push(plain, at, &plain_image(header, image, delivered)),
             }
         }
+    }
+
+    /// Records the exposure of a pair if it differs from that of the pair before: the first pair after a change, and the first one in which
+    /// both images certainly have it.
+    fn exposure(&mut self, pair: &FramePair) {
+        let Some(exposure) = pair.exposure.filter(|exposure| self.exposure != Some(*exposure)) else { return };
+        self.exposure = Some(exposure);
+        let PairExposure { time, gain, changes, factor, is_settling } = exposure;
+        let gain = gain.map_or_else(|| "null".to_owned(), |gain| gain.to_string());
+        let data = format!(
+            "{{\"sequence\": {}, \"exposure_millis\": {}, \"gain\": {gain}, \"changes\": {changes}, \"factor\": {factor}, \"is_settling\": \
+             {is_settling}}}",
+            pair.sequence,
+            time.as_secs_f64() * 1e3
+        );
+        self.push(ours::EXPOSURE, pair.exposed_at, &Text { data });
     }
 
     /// Records an older pair on which the operator drew, without compression.

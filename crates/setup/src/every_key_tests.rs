@@ -3,6 +3,7 @@
 
 mod one_device;
 mod real_arms;
+mod shared_exposure;
 
 use std::path::Path;
 

@@ -5,10 +5,10 @@ use std::time::Duration;
 
 use pb3dp_camera_v4l2::controls::{Control, is_automatic, moves_the_lens, unit_of};
 use pb3dp_camera_v4l2::video::ControlKind as DriverKind;
-use pb3dp_camera_v4l2::{ReopeningCamera, Side, StreamCounters};
+use pb3dp_camera_v4l2::{Following, ReopeningCamera, Side, StreamCounters};
 use pb3dp_cell::camera_controls::{
-    CameraControl, ControlDesk, ControlEnd, ControlKind, ControlMode, ControlRequest, ControlUnit, ImageLosses,
-    MenuItem, PendingControl, control_desk,
+    CameraControl, ControlDesk, ControlEnd, ControlKind, ControlMode, ControlRequest, ControlUnit, FollowedTarget,
+    ImageLosses, MenuItem, PendingControl, control_desk,
 };
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraError, Clock, FramePair, StereoCamera, StereoCameraInfo};
@@ -70,8 +70,13 @@ impl ControlService {
         (Self { end, clock, read_after: None, read_at: MonotonicTime::ZERO }, desk)
     }
 
-    /// Answers the requests that wait; to be called between two pairs.
+    /// Answers the requests that wait, and states what is followed; to be called between two pairs.
     pub(super) fn serve(&mut self, camera: &mut ReopeningCamera) {
+        camera.set_following(match self.end.target() {
+            FollowedTarget::Nothing => Following::Nothing,
+            FollowedTarget::Confident => Following::Confident,
+            FollowedTarget::Doubtful => Following::Doubtful,
+        });
         if self.read_after.replace(camera.reopened()) != Some(camera.reopened()) {
             // Who asks for the controls reads them again and gets the error; here no pair waits for a driver twice.
             let _ = self.read(camera);
@@ -121,6 +126,17 @@ impl ControlService {
     }
 }
 
+/// Logs what became of the exposure that the program controls; to be called after each pair.
+pub(super) fn log_exposure(camera: &mut ReopeningCamera) {
+    while let Some(event) = camera.take_exposure_event() {
+        if event.is_warning() {
+            tracing::warn!("cameras: {event}");
+        } else {
+            tracing::info!("cameras: {event}");
+        }
+    }
+}
+
 fn losses_in(counters: &StreamCounters) -> ImageLosses {
     ImageLosses {
         lost: counters.lost,
@@ -157,6 +173,7 @@ impl StereoCamera for BareCameras {
     fn next_pair_into(&mut self, pair: &mut FramePair, timeout: Duration) -> Result<(), CameraError> {
         self.service.serve(&mut self.camera);
         let outcome = self.camera.next_pair_into(pair, timeout);
+        log_exposure(&mut self.camera);
         self.service.note(&self.camera, &outcome);
         outcome
     }

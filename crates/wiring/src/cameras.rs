@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use pb3dp_camera_settings::StereoConfig;
+use pb3dp_camera_settings::{SKEW_MAX, StereoConfig};
 use pb3dp_camera_v4l2::pairing::Drift;
 use pb3dp_camera_v4l2::video::VideoSystem;
 use pb3dp_camera_v4l2::{ReopeningCamera, Side};
@@ -16,7 +16,7 @@ use pb3dp_record::calibration_files::CameraIdentity;
 use pb3dp_setup::setup::{CAMERAS, CalibrationInUse, RealCameras, Setup, Synchronisation};
 
 use super::calibration::identity;
-use super::camera_controls::ControlService;
+use super::camera_controls::{ControlService, log_exposure};
 
 /// Longest wait for the first pair: some cameras need a second or two to start.
 const FIRST_PAIR_WITHIN: Duration = Duration::from_secs(10);
@@ -54,7 +54,15 @@ pub(super) fn wire_real(
     let (service, controls) = ControlService::new(Arc::clone(&clock), names);
     let mut camera = WatchedCamera::new(camera, real.clone(), setup.rig.stereo);
     camera.service = Some(service);
+    // A target is initialised in the first pair of the run, so the exposure settles before.
+    camera.camera.settle_exposure().context("table [camera]")?;
     let first = first_pair(&mut camera, &*clock)?;
+    if !real.stereo.layout.is_one_device() {
+        match skew_line(real, &first, setup.camera_skew_max()) {
+            (true, line) => tracing::warn!("cameras: {line}"),
+            (false, line) => tracing::info!("cameras: {line}"),
+        }
+    }
     let mut identity_of = |side| camera.camera.identity(side).map(identity).context("table [camera]");
     let identities = [identity_of(Side::Left)?, identity_of(Side::Right)?];
     look_at_cameras(&setup.rig.calibrations, &identities)?;
@@ -68,6 +76,31 @@ pub(super) fn wire_real(
         tracing::warn!("cameras: {doubt}");
     }
     Ok(WiredCameras { camera: Box::new(camera), identities, controls })
+}
+
+/// What the start of a run says about the skew, and whether it is a warning: cameras without a trigger, or a limit above the default one.
+/// `hold_at`: the skew from which the policy `camera_skew` acts.
+fn skew_line(real: &RealCameras, first: &FramePair, hold_at: Duration) -> (bool, String) {
+    let StereoConfig { skew_max, skew_cost, .. } = real.stereo;
+    let millis = |time: Duration| time.as_secs_f64() * 1e3;
+    let is_free = real.synchronisation == Synchronisation::FreeRunning;
+    let kind = if is_free { "free-running" } else { "triggered" };
+    let mut line = format!(
+        "{kind}; right was exposed {:+.2} ms after left in the first pair; camera.skew_max_millis accepts {:.1} ms: {}",
+        first.skew_nanos as f64 * 1e-6,
+        millis(skew_max),
+        skew_cost.text(skew_max)
+    );
+    if is_free {
+        line += "; the skew drifts through the whole period, and pairs above the limit are refused";
+    }
+    if skew_max > hold_at {
+        line += &format!(
+            "; the policy camera_skew acts from {:.1} ms on, so that the hand does not use all of this",
+            millis(hold_at)
+        );
+    }
+    (is_free || skew_max > SKEW_MAX, line)
 }
 
 /// Checks whether the calibrations belong to the connected cameras.
@@ -221,6 +254,7 @@ impl StereoCamera for WatchedCamera {
             service.serve(&mut self.camera);
         }
         let outcome = self.camera.next_pair_into(pair, timeout).and_then(|()| self.check_order(pair));
+        log_exposure(&mut self.camera);
         if let Some(service) = &mut self.service {
             service.note(&self.camera, &outcome);
         }
@@ -239,10 +273,11 @@ impl Drop for WatchedCamera {
     fn drop(&mut self) {
         let counters = self.camera.counters();
         tracing::info!(
-            "cameras: {} pairs, reopened {} times; since then skew at most {:.2} ms, {} pairs refused for it, left {:?}, right {:?}",
+            "cameras: {} pairs, reopened {} times; since then skew at most {:.2} ms ({}), {} pairs refused for it, left {:?}, right {:?}",
             self.pairs,
             self.camera.reopened(),
             counters.skew_max_nanos as f64 * 1e-6,
+            self.cameras.stereo.skew_cost.text(Duration::from_nanos(counters.skew_max_nanos)),
             counters.skew_refused,
             counters.left,
             counters.right
@@ -444,6 +479,33 @@ mod tests {
         assert!(next());
         assert_eq!(desk.shown().problem, None);
         assert_ne!(gain(), Some(77), "a reopened camera has the value of the setup");
+    }
+
+    #[test]
+    fn the_start_of_a_run_states_the_skew_and_its_cost() {
+        let (mut cameras, rig) = of_the_rig();
+        cameras.calibrate(&rig).unwrap();
+        let mut first = FramePair::black(cameras.size());
+        first.skew_nanos = -3_200_000;
+        let five = Duration::from_millis(5);
+        let (is_warning, line) = skew_line(&cameras, &first, five);
+        assert!(!is_warning && line.starts_with("triggered; right was exposed -3.20 ms after left"), "{line}");
+        cameras.synchronisation = Synchronisation::FreeRunning;
+        cameras.stereo.skew_max = Duration::from_millis(15);
+        let (is_warning, line) = skew_line(&cameras, &first, five);
+        let cost = cameras.stereo.skew_cost;
+        let error_mm = 1.5 * cost.distance_m / rig.baseline_m();
+        for part in [
+            "free-running",
+            "camera.skew_max_millis accepts 15.0 ms",
+            &format!(
+                "at 100 mm/s and a distance of {:.0} mm this is a depth error of {error_mm:.2} mm",
+                cost.distance_m * 1e3
+            ),
+            "the policy camera_skew acts from 5.0 ms on",
+        ] {
+            assert!(is_warning && line.contains(part), "{part} is not in {line}");
+        }
     }
 
     #[test]

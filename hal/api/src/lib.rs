@@ -16,4 +16,6 @@ pub use arm::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCom
 pub use clock::Clock;
 pub use pb3dp_kinematics::JointState;
 pub use recent::RecentFailures;
-pub use stereo_camera::{CameraError, CameraErrorKind, DeliveredImage, FramePair, StereoCamera, StereoCameraInfo};
+pub use stereo_camera::{
+    CameraError, CameraErrorKind, DeliveredImage, FramePair, PairExposure, StereoCamera, StereoCameraInfo,
+};

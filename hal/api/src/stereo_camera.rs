@@ -20,6 +20,23 @@ pub struct FramePair {
     pub right: RgbImage,
     /// Left and right image as the camera delivered them; empty if it delivers RGB, or if the images above were changed since.
     pub delivered: [DeliveredImage; 2],
+    /// Exposure of both images, if the program controls it.
+    pub exposure: Option<PairExposure>,
+}
+
+/// Exposure time and gain that both cameras were asked for, of cameras whose exposure the program adapts to the light.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PairExposure {
+    /// Exposure time.
+    pub time: Duration,
+    /// Gain, in units of the driver; `None` if the program does not change it.
+    pub gain: Option<i32>,
+    /// Number of changes since the cameras were opened. The first pair with another number announces a change.
+    pub changes: u64,
+    /// Factor of the newest change on the exposure time; 1 if only the gain was changed, whose effect on the images is not known.
+    pub factor: f64,
+    /// The newest change is so recent that one or both images may still have the exposure before it.
+    pub is_settling: bool,
 }
 
 /// An image as a camera delivers it.
@@ -57,6 +74,7 @@ impl FramePair {
             left: RgbImage::new(size.width, size.height),
             right: RgbImage::new(size.width, size.height),
             delivered: Default::default(),
+            exposure: None,
         }
     }
 

@@ -15,7 +15,7 @@ use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use pb3dp_camera_settings::{
-    CameraConfig, ControlSettings, Crop, DeviceLayout, Interval, ModeRequest, PixelFormat, SKEW_MAX, Setting,
+    CameraConfig, ControlSettings, Crop, DeviceLayout, Interval, ModeRequest, PixelFormat, SKEW_MAX, Setting, SkewCost,
     StampModel, StereoConfig,
 };
 use pb3dp_camera_v4l2::V4l2StereoCamera;
@@ -79,7 +79,15 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let range = Some(range).filter(is_stated).map(|range| range.parse()).transpose()?;
     let (left, right) = (side(0, crop(crop_left)?)?, side(1, crop(crop_right)?)?);
-    let config = StereoConfig { layout, range, left, right, skew_max: SKEW_MAX, speed_max_m_per_s: 0.1 };
+    let config = StereoConfig {
+        layout,
+        range,
+        left,
+        right,
+        skew_max: SKEW_MAX,
+        skew_cost: SkewCost::OF_NO_SETUP,
+        shared_exposure: None,
+    };
     let pair = V4l2StereoCamera::open(Arc::new(system), clock, &config)?.next_pair(Duration::from_secs(1))?;
     for ((name, image), delivered) in [("left", &pair.left), ("right", &pair.right)].into_iter().zip(&pair.delivered) {
         fs::write(Path::new(folder).join(format!("{name}.rgb")), image.as_raw())?;

@@ -3,16 +3,18 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use pb3dp_camera_settings::StereoConfig;
+use pb3dp_camera_settings::{CommonExposure, SkewCost, StereoConfig};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
 
 use crate::controls::{self, Control, Focus};
 use crate::error::{failed, unusable};
+use crate::exposure_control::Following;
 use crate::modes::Mode;
 use crate::names::CaptureDevice;
 use crate::opening::{OpenedDevices, open_devices};
 use crate::pairing::{Drift, DriftEstimator, Verdict, judge};
+use crate::shared_exposure::{ExposureEvent, ExposurePair, settling_time};
 use crate::stream::{Drained, Side, Stream, StreamCounters, Streams};
 use crate::timing::ClockMap;
 use crate::video::VideoSystem;
@@ -65,7 +67,9 @@ pub struct V4l2StereoCamera {
     clock_map: ClockMap,
     period: Duration,
     skew_max: Duration,
-    speed_max_m_per_s: f64,
+    skew_cost: SkewCost,
+    /// The exposure of both cameras, if the program controls it.
+    exposure: Option<ExposurePair>,
     state: State,
     counters: StereoCounters,
     drift: DriftEstimator,
@@ -119,6 +123,8 @@ impl V4l2StereoCamera {
             );
             return Err(unusable(&name, what));
         }
+        let shared = config.shared_exposure.as_ref();
+        let exposure = shared.map(|shared| ExposurePair::open(&mut streams, shared, period)).transpose()?;
         for stream in streams.all_mut() {
             stream.start()?;
         }
@@ -131,7 +137,8 @@ impl V4l2StereoCamera {
             clock_map,
             period,
             skew_max: config.skew_max,
-            speed_max_m_per_s: config.speed_max_m_per_s,
+            skew_cost: config.skew_cost,
+            exposure,
             state: State::Open(streams),
             counters: StereoCounters::default(),
             drift: DriftEstimator::new(period),
@@ -188,13 +195,55 @@ impl V4l2StereoCamera {
     /// Sets a control while the camera runs, and reads it back. The exposure time used for the timestamps is updated.
     ///
     /// # Errors
-    /// The value is not possible or not kept; `Disconnected` after the loss of a camera.
+    /// The value is not possible or not kept, or the program controls the exposure of both cameras; `Disconnected` after the loss of a
+    /// camera.
     pub fn set_control(&mut self, side: Side, id: u32, value: i32) -> Result<(), CameraError> {
+        let is_shared = self.exposure.as_ref().is_some_and(|exposure| exposure.owns(id));
         let stream = self.stream(side)?;
         let device = stream.config.device.clone();
+        if is_shared {
+            let what = "the program sets this control in both cameras together (exposure_millis = \"shared\"); change camera.shared_exposure, or \
+                        set exposure_millis of both cameras to a number";
+            return Err(unusable(&device, what));
+        }
         controls::set(stream.node(), &device, id, value)?;
         if let Some(exposure) = controls::exposure_now(stream.node(), &device)? {
             stream.config.exposure = exposure;
+        }
+        Ok(())
+    }
+
+    /// The exposure of both cameras, if the program controls it.
+    pub fn shared_exposure(&self) -> Option<CommonExposure> {
+        self.exposure.as_ref().map(ExposurePair::now)
+    }
+
+    /// States what follows the target: the exposure then changes slowly, or not at all.
+    pub fn set_following(&mut self, following: Following) {
+        if let Some(exposure) = &mut self.exposure {
+            exposure.set_following(following);
+        }
+    }
+
+    /// What became of the exposure, oldest first; to be taken after each pair.
+    pub fn take_exposure_event(&mut self) -> Option<ExposureEvent> {
+        self.exposure.as_mut()?.take_event()
+    }
+
+    /// Drops pairs until the exposure rests, for a few seconds at most. Does nothing if the program does not control the exposure.
+    ///
+    /// # Errors
+    /// `Disconnected` after the loss of a camera; `Unusable` for cameras that cannot be used. Other errors only take time.
+    pub fn settle_exposure(&mut self) -> Result<(), CameraError> {
+        let deadline = self.clock.now() + settling_time(self.period);
+        let mut pair = FramePair::black(self.info.size);
+        while self.exposure.as_ref().is_some_and(|exposure| !exposure.rests()) && self.clock.now() < deadline {
+            match self.next_pair_into(&mut pair, self.period * 4) {
+                Err(error) if matches!(error.kind(), CameraErrorKind::Disconnected | CameraErrorKind::Unusable) => {
+                    return Err(error);
+                }
+                Ok(()) | Err(_) => {}
+            }
         }
         Ok(())
     }
@@ -217,9 +266,16 @@ impl V4l2StereoCamera {
 
     fn try_next(&mut self, pair: &mut FramePair, timeout: Duration) -> Result<(), CameraError> {
         let deadline = self.clock.now() + timeout;
+        if let (State::Open(streams), Some(exposure)) = (&mut self.state, &mut self.exposure) {
+            exposure.apply(streams, self.clock.now())?;
+        }
         loop {
             self.drain()?;
             if self.deliver(pair)? {
+                pair.exposure = None;
+                if let Some(exposure) = &mut self.exposure {
+                    exposure.observe(pair);
+                }
                 return Ok(());
             }
             let now = self.clock.now();
@@ -302,14 +358,14 @@ impl V4l2StereoCamera {
     }
 
     fn too_far(&self, skew_nanos: i64) -> CameraError {
-        let millis = skew_nanos as f64 * 1e-6;
+        let skew = Duration::from_nanos(skew_nanos.unsigned_abs());
         let message = format!(
-            "{}: right was exposed {millis:.1} ms after left, at most {:.1} ms is allowed; at {:.0} mm/s this is an error of {:.2} mm; use a \
-             hardware trigger for both cameras, or restart them until their exposures match",
+            "{}: right was exposed {:.1} ms after left, at most {:.1} ms is allowed; {}; use a hardware trigger for both cameras, restart them \
+             until their exposures match, or accept more (camera.skew_max_millis, --skew-max) and move slowly",
             self.info.name,
+            skew_nanos as f64 * 1e-6,
             self.skew_max.as_secs_f64() * 1e3,
-            self.speed_max_m_per_s * 1e3,
-            millis.abs() * self.speed_max_m_per_s,
+            self.skew_cost.text(skew),
         );
         CameraError::new(CameraErrorKind::BadPair, message)
     }

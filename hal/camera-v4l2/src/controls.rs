@@ -46,7 +46,7 @@ const EXPOSURE_MANUAL: i32 = 1;
 const EXPOSURE_BY_CAMERA: [i32; 2] = [3, 0];
 
 /// The unit of [`id::EXPOSURE_ABSOLUTE`].
-const EXPOSURE_UNIT: Duration = Duration::from_micros(100);
+pub(crate) const EXPOSURE_UNIT: Duration = Duration::from_micros(100);
 
 /// Focus setting of a lens.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -272,7 +272,12 @@ fn find(controls: &[Control], id: u32) -> Option<&Control> {
     controls.iter().find(|control| control.entry.id == id)
 }
 
-fn write(node: &mut dyn VideoNode, device: &str, entry: &ControlEntry, value: i32) -> Result<(), CameraError> {
+pub(crate) fn write(
+    node: &mut dyn VideoNode,
+    device: &str,
+    entry: &ControlEntry,
+    value: i32,
+) -> Result<(), CameraError> {
     let ControlEntry { id, name, min, max, step, .. } = entry;
     let is_step = *step <= 1 || (i64::from(value) - i64::from(*min)) % i64::from(*step) == 0;
     if value < *min || value > *max || !is_step {
@@ -284,7 +289,7 @@ fn write(node: &mut dyn VideoNode, device: &str, entry: &ControlEntry, value: i3
     node.set_control(*id, value).map_err(|error| failed(device, &format!("setting `{name}` to {value}"), error))
 }
 
-fn verify(node: &dyn VideoNode, device: &str, entry: &ControlEntry, value: i32) -> Result<(), CameraError> {
+pub(crate) fn verify(node: &dyn VideoNode, device: &str, entry: &ControlEntry, value: i32) -> Result<(), CameraError> {
     if entry.kind == ControlKind::Button {
         return Ok(());
     }

@@ -35,7 +35,14 @@ pub(crate) struct OpenedDevices {
 /// # Errors
 /// As [`crate::V4l2StereoCamera::open`].
 pub(crate) fn open_devices(system: &dyn VideoSystem, config: &StereoConfig) -> Result<OpenedDevices, CameraError> {
-    if config.layout.is_one_device() { open_one(system, config) } else { open_two(system, config) }
+    let mut config = config.clone();
+    if config.shared_exposure.is_some() {
+        // Both cameras must have a control for the exposure, which is checked next with a message of its own.
+        for side in [&mut config.left, &mut config.right] {
+            side.exposure.get_or_insert(Duration::ZERO);
+        }
+    }
+    if config.layout.is_one_device() { open_one(system, &config) } else { open_two(system, &config) }
 }
 
 fn open_two(system: &dyn VideoSystem, config: &StereoConfig) -> Result<OpenedDevices, CameraError> {

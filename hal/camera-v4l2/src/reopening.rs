@@ -10,7 +10,9 @@ use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera
 use crate::camera::{CameraIdentity, StereoCounters, V4l2StereoCamera};
 use crate::controls::Control;
 use crate::error::unusable;
+use crate::exposure_control::Following;
 use crate::names::CaptureDevice;
+use crate::shared_exposure::ExposureEvent;
 use crate::stream::Side;
 use crate::video::VideoSystem;
 
@@ -36,6 +38,7 @@ pub struct ReopeningCamera {
     /// Offset from the numbers of the open camera to the delivered numbers; `None` until its first pair.
     offset: Option<u64>,
     reopened: u64,
+    following: Following,
 }
 
 enum State {
@@ -65,7 +68,19 @@ impl ReopeningCamera {
         let camera = V4l2StereoCamera::open(Arc::clone(&system), Arc::clone(&clock), &config)?;
         let (info, first) = (camera.info().clone(), camera.devices().clone());
         let state = State::Open(Box::new(camera));
-        Ok(Self { system, clock, config, info, first, reopen_for, state, last: None, offset: None, reopened: 0 })
+        Ok(Self {
+            system,
+            clock,
+            config,
+            info,
+            first,
+            reopen_for,
+            state,
+            last: None,
+            offset: None,
+            reopened: 0,
+            following: Following::Nothing,
+        })
     }
 
     /// Counters of received and dropped images since the cameras were opened last.
@@ -101,6 +116,30 @@ impl ReopeningCamera {
         self.open_camera()?.set_control(side, id, value)
     }
 
+    /// As [`V4l2StereoCamera::set_following`].
+    pub fn set_following(&mut self, following: Following) {
+        self.following = following;
+        if let State::Open(camera) = &mut self.state {
+            camera.set_following(following);
+        }
+    }
+
+    /// As [`V4l2StereoCamera::take_exposure_event`].
+    pub fn take_exposure_event(&mut self) -> Option<ExposureEvent> {
+        match &mut self.state {
+            State::Open(camera) => camera.take_exposure_event(),
+            State::Lost { .. } | State::GivenUp(_) => None,
+        }
+    }
+
+    /// As [`V4l2StereoCamera::settle_exposure`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn settle_exposure(&mut self) -> Result<(), CameraError> {
+        self.open_camera()?.settle_exposure()
+    }
+
     fn open_camera(&mut self) -> Result<&mut V4l2StereoCamera, CameraError> {
         match &mut self.state {
             State::Open(camera) => Ok(camera),
@@ -126,6 +165,10 @@ impl ReopeningCamera {
         if self.reopen_for.is_zero() {
             self.state = State::GivenUp(error.to_string());
             return error;
+        }
+        // Reopened cameras go on with the exposure of this light.
+        if let (State::Open(camera), Some(shared)) = (&self.state, &mut self.config.shared_exposure) {
+            shared.start = camera.shared_exposure().or(shared.start);
         }
         let since = self.clock.now();
         let counters = Box::new(self.counters());
@@ -154,7 +197,8 @@ impl ReopeningCamera {
             }
             let opened = V4l2StereoCamera::open(Arc::clone(&self.system), Arc::clone(&self.clock), &self.config);
             match opened.and_then(|camera| same_as(&self.first, camera)) {
-                Ok(camera) => {
+                Ok(mut camera) => {
+                    camera.set_following(self.following);
                     self.state = State::Open(Box::new(camera));
                     self.reopened += 1;
                     return Ok(());

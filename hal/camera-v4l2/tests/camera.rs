@@ -137,7 +137,7 @@ fn pairs_too_far_apart_are_refused_with_what_they_cost() {
     let error = camera.next_pair(SECOND).unwrap_err();
     assert_eq!(error.kind(), CameraErrorKind::BadPair);
     let expected =
-        "right was exposed 12.0 ms after left, at most 5.0 ms is allowed; at 100 mm/s this is an error of 1.20 mm";
+        "right was exposed 12.0 ms after left, at most 5.0 ms is allowed; at 100 mm/s the target moves by 1.20 mm";
     assert!(error.to_string().contains(expected), "{error}");
     assert_eq!(camera.counters().skew_refused, 1);
     // A wider limit accepts them.

@@ -5,4 +5,5 @@ mod camera;
 mod jpeg;
 mod one_device;
 mod reopening;
+mod shared_exposure;
 mod support;

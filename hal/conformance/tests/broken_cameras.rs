@@ -123,7 +123,15 @@ impl StereoCamera for Camera {
         let speed = if self.defect == Defect::RunsAtHalfSpeed { 2 } else { 1 };
         let periods = if self.defect == Defect::TimeStandsStill { 7 } else { speed * (self.next - repeats) };
         let exposed_at = MonotonicTime::ZERO + PERIOD * periods as u32;
-        *pair = FramePair { sequence: self.next - repeats, exposed_at, skew_nanos: -40, left, right, delivered };
+        *pair = FramePair {
+            sequence: self.next - repeats,
+            exposed_at,
+            skew_nanos: -40,
+            left,
+            right,
+            delivered,
+            exposure: None,
+        };
         self.next += 1;
         Ok(())
     }

@@ -12,7 +12,7 @@ use pb3dp_bag::sinks::Sinks;
 use pb3dp_bag::writer::{BagWriter, WhenFull};
 use pb3dp_camera_settings::{
     CameraConfig, CameraName, ControlSettings, DeviceLayout, Interval, ModeRequest, PixelFormat, SKEW_MAX, Setting,
-    StampModel, StereoConfig,
+    SkewCost, StampModel, StereoConfig,
 };
 use pb3dp_camera_v4l2::V4l2StereoCamera;
 use pb3dp_camera_v4l2::emulated::{EmulatedCamera, EmulatedSystem};
@@ -149,7 +149,15 @@ fn cameras(format: PixelFormat, fourcc: [u8; 4]) -> Result<(Arc<dyn Clock>, V4l2
         crop: None,
     };
     let (layout, left, right) = (DeviceLayout::TwoDevices, config(0), config(1));
-    let config = StereoConfig { layout, range: None, left, right, skew_max: SKEW_MAX, speed_max_m_per_s: 0.1 };
+    let config = StereoConfig {
+        layout,
+        range: None,
+        left,
+        right,
+        skew_max: SKEW_MAX,
+        skew_cost: SkewCost::OF_NO_SETUP,
+        shared_exposure: None,
+    };
     let camera = V4l2StereoCamera::open(Arc::new(system), Arc::clone(&clock), &config)?;
     Ok((clock, camera))
 }

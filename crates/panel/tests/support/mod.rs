@@ -242,6 +242,7 @@ fn textured(sequence: u64, at: MonotonicTime) -> Arc<FramePair> {
         left: image(0),
         right: image(40),
         delivered: Default::default(),
+        exposure: None,
     })
 }
 
@@ -361,7 +362,15 @@ impl Loop {
         };
         let (left, right) = (image.left.clone(), image.right.clone());
         let delivered = image.delivered.clone();
-        let pair = FramePair { sequence: self.sequence, exposed_at: at, skew_nanos: 0, left, right, delivered };
+        let pair = FramePair {
+            sequence: self.sequence,
+            exposed_at: at,
+            skew_nanos: 0,
+            left,
+            right,
+            delivered,
+            exposure: None,
+        };
         // The target moves away by 2 mm after its first estimate, and the estimate does not follow.
         self.looks += u64::from(self.target > 0);
         let truth_m = Vector3::new(0.01, 0.02, if self.looks > 1 { 0.602 } else { 0.6 });

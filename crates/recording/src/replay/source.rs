@@ -220,5 +220,13 @@ fn pair(
     let [left, right]: [Result<(MonotonicTime, RgbImage), BagError>; 2] =
         images.map(|message| recorded_image(message, size, range));
     let (left, right) = (left?.1, right?.1);
-    Ok(Arc::new(FramePair { sequence, exposed_at, skew_nanos, left, right, delivered: Default::default() }))
+    Ok(Arc::new(FramePair {
+        sequence,
+        exposed_at,
+        skew_nanos,
+        left,
+        right,
+        delivered: Default::default(),
+        exposure: None,
+    }))
 }

@@ -7,7 +7,7 @@ use super::*;
 use crate::setup::{RealCameras, read_cameras};
 
 /// The cameras of the rig example with these changes, or why they are refused.
-fn cameras(changes: &str) -> Result<RealCameras, String> {
+pub(super) fn cameras(changes: &str) -> Result<RealCameras, String> {
     let sample = Sample::new("rig.toml", |file| read_setup(file).map(drop));
     let mut root = sample.table.clone();
     let merge = |into: &mut Table, from: Table| into.extend(from);

@@ -18,6 +18,7 @@ mod real_cameras;
 pub mod seeds;
 mod servo;
 mod shape;
+mod shared_exposure;
 mod sight;
 mod supervisor;
 mod target_state;
@@ -32,7 +33,7 @@ use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_geometry::frames::{Flange, Target};
 use pb3dp_geometry::{Frame, Pose, StereoRig};
 use pb3dp_servo::ControllerConfig;
-use pb3dp_servo::supervisor::SupervisorConfig;
+use pb3dp_servo::supervisor::{Condition, SupervisorConfig};
 use pb3dp_sim::camera_faults::CameraFaults;
 use pb3dp_sim::geometric::GeometricConfig;
 use pb3dp_sim::scene::SceneConfig;
@@ -268,6 +269,11 @@ impl Setup {
         self.rig.arms.vs.link.is_toy() && self.rig.arms.tc.link.is_toy()
     }
 
+    /// The skew of a pair from which the policy `camera_skew` acts.
+    pub fn camera_skew_max(&self) -> Duration {
+        millis(self.supervisor.policies.get(Condition::CameraSkew).threshold * 1e3)
+    }
+
     /// The rendered cameras: those of the setup, unless the truth differs.
     pub fn true_rig(&self) -> &StereoRig {
         self.world.as_ref().and_then(|world| world.truth.rig.as_ref()).unwrap_or(&self.rig.stereo)
@@ -352,8 +358,8 @@ impl SetupFile {
         let (method, compared, estimator, range) = self.estimator.build(self.run.seed, check);
         let geometric = self.estimator.geometric.map(|section| section.build(&range, check));
         let leader = self.estimator.leader(method, geometric, check);
-        let hand_speed_max_m_per_s = self.servo.speed_max_m_per_s();
-        let sight = camera.build(hand_speed_max_m_per_s, self.scene.as_ref(), check);
+        let motion = (self.servo.speed_max_m_per_s(), &range);
+        let sight = camera.build(motion, self.scene.as_ref(), check);
         let experiment = self.experiment.build(check);
         let size = sight.as_ref().map(|sight| sight.rig.left().size());
         let truth = self.truth.as_ref().map(|truth| truth.build(size, check)).unwrap_or_default();

@@ -6,10 +6,10 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use pb3dp_camera_settings::{
     CameraConfig, CameraName, ControlSettings, Crop, DeviceLayout, ImageLayout, Interval, ModeRequest, PixelFormat,
-    SKEW_MAX, Setting, StampModel, StereoConfig, ValueRange,
+    SKEW_MAX, Setting, SharedExposure, SkewCost, StampModel, StereoConfig, ValueRange,
 };
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
-use pb3dp_geometry::ImageSize;
+use pb3dp_geometry::{ImageSize, StereoRig};
 use pb3dp_record::calibration_files::{Judgement, StereoCalibration};
 use serde::Deserialize;
 
@@ -20,6 +20,7 @@ use super::image_stream::{check_size, frame_rate_hz};
 use super::millis;
 use super::range::read_search_range;
 use super::servo::linear_mm_per_s;
+use super::shared_exposure::{self, SharedExposureSection};
 use crate::region_spec::RegionSpec;
 
 /// Suffix of keys of this table in messages.
@@ -74,12 +75,23 @@ impl RealCameras {
         Duration::from_secs_f64(self.stereo.left.mode.interval.seconds().unwrap_or(1.0))
     }
 
-    /// Exposure time of the left camera from the file; zero if the camera reports it.
+    /// Exposure time of the left camera from the file, the longest one if the program controls it; zero if the camera reports it.
     pub fn exposure(&self) -> Duration {
+        if let Some(shared) = &self.stereo.shared_exposure {
+            return shared.time[1];
+        }
         match (self.stereo.left.controls.exposure, self.stereo.left.exposure) {
             (Setting::Manual(time), _) | (Setting::Keep | Setting::Auto, Some(time)) => time,
             (Setting::Keep | Setting::Auto, None) => Duration::ZERO,
         }
+    }
+
+    /// Uses the calibration for the cost of a skew, and for the longest exposure.
+    ///
+    /// # Errors
+    /// If the shortest exposure blurs more than is allowed.
+    pub fn calibrate(&mut self, rig: &StereoRig) -> Result<()> {
+        self.stereo.calibrate(rig).context("camera.shared_exposure.exposure_min_millis")
     }
 
     /// Reads the calibration.
@@ -112,7 +124,8 @@ pub(super) fn load_calibration(files: &[PathBuf], size: ImageSize) -> Result<Ste
 }
 
 /// Reads the real cameras of a setup and the search range of the target. Of the other tables it reads only
-/// `servo.speed.linear_max_mm_per_s`, for messages about skew. It does not read the calibration: see [`RealCameras::calibration`].
+/// `servo.speed.linear_max_mm_per_s`, for messages about skew and for the longest exposure. It does not read the calibration: see
+/// [`RealCameras::calibration`] and [`RealCameras::calibrate`].
 ///
 /// # Errors
 /// An unreadable file, simulated cameras, unknown or missing keys, values out of range.
@@ -150,7 +163,8 @@ fn cameras_of(config: &ConfigFile, check: &mut Checker) -> Option<(RealCameras, 
     let speed_mm_per_s: Option<f64> = config.at(key, "");
     let range = read_search_range(config, check);
     check.number(key, speed_mm_per_s?, linear_mm_per_s());
-    section?.build(speed_mm_per_s? * 1e-3, check).zip(range)
+    let range = range?;
+    section?.build((speed_mm_per_s? * 1e-3, &range), check).zip(Some(range))
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -174,6 +188,7 @@ pub(super) struct V4l2Section {
     synchronisation: Synchronisation,
     skew_max_millis: Option<f64>,
     reopen_for_s: f64,
+    shared_exposure: Option<SharedExposureSection>,
     left: SideSection,
     right: SideSection,
 }
@@ -218,11 +233,11 @@ impl From<LayoutName> for DeviceLayout {
     }
 }
 
-/// A number, "keep" or "auto".
+/// A number, "keep" or "auto"; exposure and gain also "shared".
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(
     untagged,
-    expecting = "a number (a whole one, but for exposure_millis), \"keep\" (the value stays as it is) or \"auto\" (the camera chooses)"
+    expecting = "a number (a whole one, but for exposure_millis), \"keep\" (the value stays as it is), \"auto\" (the camera chooses) or, for exposure_millis and gain, \"shared\" (the program sets both cameras)"
 )]
 enum ControlValue<T> {
     Number(T),
@@ -234,6 +249,7 @@ enum ControlValue<T> {
 enum ControlKeyword {
     Keep,
     Auto,
+    Shared,
 }
 
 #[derive(Clone, Copy, Debug, Deserialize)]
@@ -247,15 +263,24 @@ impl<T> ControlValue<T> {
     fn setting<U>(self, turned: impl FnOnce(T) -> U) -> Setting<U> {
         match self {
             Self::Number(number) => Setting::Manual(turned(number)),
-            Self::ControlKeyword(ControlKeyword::Keep) => Setting::Keep,
+            // The program changes a shared value, and the camera does not.
+            Self::ControlKeyword(ControlKeyword::Keep | ControlKeyword::Shared) => Setting::Keep,
             Self::ControlKeyword(ControlKeyword::Auto) => Setting::Auto,
         }
+    }
+
+    fn is_shared(&self) -> bool {
+        matches!(self, Self::ControlKeyword(ControlKeyword::Shared))
     }
 }
 
 impl V4l2Section {
-    /// The cameras; `speed_max_m_per_s` is the largest speed of the hand relative to the target.
-    pub(super) fn build(&self, speed_max_m_per_s: f64, check: &mut Checker) -> Option<RealCameras> {
+    /// The cameras, for the largest speed of the hand relative to the target, and the distances of the target.
+    pub(super) fn build(
+        &self,
+        (speed_max_m_per_s, range_of_target): (f64, &SearchRange),
+        check: &mut Checker,
+    ) -> Option<RealCameras> {
         check_size(self.width_px, self.height_px, check);
         let rate_hz = frame_rate_hz(self.frame_rate_hz, check);
         // A skew of one period cannot be distinguished from the next image.
@@ -269,6 +294,7 @@ impl V4l2Section {
         }
         let format = self.format(check);
         let layout = DeviceLayout::from(self.layout);
+        let shared_exposure = self.shared_exposure((1e3 / rate_hz, range_of_target.z_min_m), check);
         format.inspect(|format| self.check_layout(layout, *format, check));
         let view = self.view();
         let crops = self.crops(format, check);
@@ -306,13 +332,53 @@ impl V4l2Section {
                 left: CameraConfig { crop: left_crop, ..self.left.build(left, mode(format, &self.left)) },
                 right: CameraConfig { crop: right_crop, ..of_right.build(right, mode(format, of_right)) },
                 skew_max: millis(skew_max_millis),
-                speed_max_m_per_s,
+                skew_cost: SkewCost {
+                    speed_m_per_s: speed_max_m_per_s,
+                    distance_m: range_of_target.z_max_m,
+                    baseline_m: None,
+                },
+                shared_exposure,
             },
             synchronisation: self.synchronisation,
             reopen_for: millis(self.reopen_for_s * 1e3),
             calibration_files: self.calibration.clone(),
             region: region?,
         })
+    }
+
+    /// The exposure that the program controls, if both cameras request it.
+    fn shared_exposure(&self, times: (f64, f64), check: &mut Checker) -> Option<SharedExposure> {
+        let is_one_device = DeviceLayout::from(self.layout).is_one_device();
+        let [time, gain] = [
+            ("exposure_millis", [self.left.exposure_millis.is_shared(), self.right.exposure_millis.is_shared()]),
+            ("gain", [self.left.gain.is_shared(), self.right.gain.is_shared()]),
+        ]
+        .map(|(key, [left, right])| {
+            let side = if left { "right" } else { "left" };
+            if left != right && !is_one_device {
+                check.refuse(format!(
+                    "camera.{side}.{key}: \"shared\" in the other camera; both cameras get the same value, so set \"shared\" in both"
+                ));
+            }
+            left || right
+        });
+        if gain && !time {
+            check.refuse("camera.left.gain: \"shared\" needs exposure_millis = \"shared\", too".to_owned());
+        }
+        for (key, side) in [("left", &self.left), ("right", &self.right)] {
+            for (name, value) in [("white_balance_kelvin", side.white_balance_kelvin), ("focus", side.focus)] {
+                if value.is_shared() {
+                    check.refuse(format!(
+                        "camera.{key}.{name} = \"shared\": only exposure_millis and gain can be shared"
+                    ));
+                }
+            }
+        }
+        let section = self.shared_exposure.map(|section| section.build(gain, times, check));
+        if time && section.is_none() {
+            check.refuse(format!("{}: missing; exposure_millis = \"shared\" needs it", shared_exposure::TABLE));
+        }
+        section.filter(|_| time)
     }
 
     /// Size of a view before it is cropped.
@@ -468,9 +534,9 @@ impl SideSection {
             ("device", is_other_device),
             ("input", self.input.is_some()),
             ("standard", self.standard.is_some()),
-            ("exposure_millis", !is_kept(self.exposure_millis.setting(drop))),
+            ("exposure_millis", !is_kept(self.exposure_millis.setting(drop)) || self.exposure_millis.is_shared()),
             ("stated_exposure_millis", self.stated_exposure_millis.is_some()),
-            ("gain", !is_kept(self.gain.setting(drop))),
+            ("gain", !is_kept(self.gain.setting(drop)) || self.gain.is_shared()),
             ("white_balance_kelvin", !is_kept(self.white_balance_kelvin.setting(drop))),
             ("focus", !is_kept(self.focus.setting(drop))),
             ("further_controls", !self.further_controls.is_empty()),

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_geometry::StereoRig;
 use serde::Deserialize;
 
@@ -59,10 +60,10 @@ impl CameraTable {
         matches!(self, Self::V4l2(_))
     }
 
-    /// Vision settings of a run, with the speed limit of the hand, and with the scene for simulated cameras.
+    /// Vision settings of a run, with the speed limit of the hand and the distances of the target, and with the scene for simulated cameras.
     pub(super) fn build(
         &self,
-        hand_speed_max_m_per_s: f64,
+        motion: (f64, &SearchRange),
         scene: Option<&SceneSection>,
         check: &mut Checker,
     ) -> Option<Sight> {
@@ -90,8 +91,11 @@ impl CameraTable {
                 if scene.is_some() {
                     check.refuse("scene: camera.backend = \"v4l2\" sees what there is; remove the table".to_owned());
                 }
-                let cameras = section.build(hand_speed_max_m_per_s, check)?;
+                let mut cameras = section.build(motion, check)?;
                 let calibration = cameras.calibration().inspect_err(|error| check.refuse(format!("{error:#}"))).ok()?;
+                if let Err(error) = cameras.calibrate(&calibration.rig) {
+                    check.refuse(format!("{error:#}"));
+                }
                 let exposure = cameras.exposure().max(Duration::from_micros(1));
                 let period = cameras.period();
                 Some(Sight {

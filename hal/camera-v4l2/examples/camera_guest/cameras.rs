@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use pb3dp_camera_pixels::{Converter, Layout, YuvKernels, YuvMatrix, YuvRange};
 use pb3dp_camera_settings::{
     CameraConfig, CameraName, ControlSettings, DeviceLayout, Interval, ModeRequest, PixelFormat, SKEW_MAX, Setting,
-    StampModel, StereoConfig,
+    SkewCost, StampModel, StereoConfig,
 };
 use pb3dp_camera_v4l2::controls;
 use pb3dp_camera_v4l2::linux::Linux;
@@ -111,7 +111,15 @@ fn config(format: PixelFormat, skew_max: Duration) -> Result<StereoConfig, Box<d
         crop: None,
     };
     let layout = DeviceLayout::TwoDevices;
-    Ok(StereoConfig { layout, range: None, left: camera(0), right: camera(1), skew_max, speed_max_m_per_s: 0.1 })
+    Ok(StereoConfig {
+        layout,
+        range: None,
+        left: camera(0),
+        right: camera(1),
+        skew_max,
+        skew_cost: SkewCost::OF_NO_SETUP,
+        shared_exposure: None,
+    })
 }
 
 fn open_with(config: &StereoConfig) -> Result<V4l2StereoCamera, CameraError> {

@@ -42,6 +42,8 @@ pub enum Call {
     Dequeue,
     /// Waiting for any device; the setting of the first device counts.
     Wait,
+    /// Setting a control.
+    SetControl,
 }
 
 /// Faults of one camera.
@@ -109,11 +111,21 @@ pub struct EmulatedCamera {
     pub first_sequence: u32,
     /// Content of the image with this number, counted from the start of the stream.
     pub paint: fn(u64, &mut [u8]),
+    /// Factor of the light on the painted grey levels at an exposure of 10 ms and the gain 64; exposure and gain then change the images as
+    /// those of a linear camera. `None`: they do not.
+    pub light: Option<f64>,
     /// Faults of the camera.
     pub faults: Faults,
 }
 
 impl EmulatedCamera {
+    /// Factor of light, exposure and gain on the painted grey levels.
+    fn brightness(&self) -> Option<f64> {
+        let value = |id| self.controls.iter().find(|(entry, _)| entry.id == id).map(|(_, value)| f64::from(*value));
+        let [time, gain] = [value(id::EXPOSURE_ABSOLUTE).unwrap_or(100.0), value(id::GAIN).unwrap_or(64.0)];
+        self.light.map(|light| light * time / 100.0 * (64.0 + gain) / 128.0)
+    }
+
     /// A camera with `YUYV` 640x480 and 64x48 at 30 per second and `GREY` 64x48, with the controls of a typical USB camera, all
     /// automatic.
     pub fn usual(number: u32) -> Self {
@@ -175,6 +187,7 @@ impl EmulatedCamera {
                     pixel.copy_from_slice(&[16 + (number % 200) as u8, 128]);
                 }
             },
+            light: None,
             faults: Faults::default(),
         }
     }

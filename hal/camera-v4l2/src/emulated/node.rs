@@ -18,8 +18,8 @@ pub(super) struct NodeState {
     device: usize,
     /// Buffers to be filled.
     queued: VecDeque<u32>,
-    /// Filled buffers, with the number of the image since the start.
-    filled: VecDeque<(Filled, u64)>,
+    /// Filled buffers, with the number of the image since the start, and the factor on its grey levels.
+    filled: VecDeque<(Filled, u64, Option<f64>)>,
     streams: bool,
 }
 
@@ -40,6 +40,7 @@ fn make_image(device: &mut Device, node: &mut NodeState) {
     let Some(mut run) = device.stream.take() else { return };
     let stamp_nanos = device.stamp_nanos(&run, run.made);
     let image_bytes = device.format.image_bytes as usize;
+    let brightness = device.camera.brightness();
     let EmulatedCamera { faults, source, .. } = &mut device.camera;
     let takes = |count: &mut u32| {
         let is_left = *count > 0;
@@ -63,7 +64,7 @@ fn make_image(device: &mut Device, node: &mut NodeState) {
             is_damaged: takes(&mut faults.damaged),
             is_last: faults.ends,
         };
-        node.filled.push_back((filled, number));
+        node.filled.push_back((filled, number, brightness));
     }
     device.stream = Some(run);
 }
@@ -233,7 +234,7 @@ impl VideoNode for EmulatedNode {
     }
 
     fn set_control(&mut self, id: u32, value: i32) -> io::Result<()> {
-        self.camera(|camera| {
+        self.call(Some(Call::SetControl), |Device { camera, .. }, _| {
             let is_kept = !camera.faults.forgetful.contains(&id);
             let (entry, place) = camera.controls.iter_mut().find(|(entry, _)| entry.id == id).ok_or(Errno::INVAL)?;
             if value < entry.min || value > entry.max {
@@ -293,12 +294,16 @@ impl VideoNode for EmulatedNode {
                 return Err(Errno::INVAL.into());
             }
             let taken = if device.camera.faults.has_stopped { None } else { node.filled.pop_front() };
-            Ok(taken.map(|(filled, number)| (filled, number, device.camera.paint)))
+            let luma_step = if &device.format.fourcc == b"YUYV" { 2 } else { 1 };
+            Ok(taken.map(|taken| (taken, device.camera.paint, luma_step)))
         })?;
-        let Some((filled, number, paint)) = taken else { return Ok(None) };
+        let Some(((filled, number, brightness), paint, luma_step)) = taken else { return Ok(None) };
         let (memory, is_drivers) = &mut self.buffers[filled.index as usize];
         *is_drivers = false;
         paint(number, memory);
+        if let Some(factor) = brightness {
+            memory.iter_mut().step_by(luma_step).for_each(|grey| *grey = (f64::from(*grey) * factor) as u8);
+        }
         Ok(Some(filled))
     }
 

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use pb3dp_camera_settings::{
     CameraConfig, CameraName, ControlSettings, DeviceLayout, Interval, ModeRequest, PixelFormat, SKEW_MAX, Setting,
-    StampModel, StereoConfig,
+    SkewCost, StampModel, StereoConfig,
 };
 use pb3dp_camera_v4l2::V4l2StereoCamera;
 use pb3dp_camera_v4l2::emulated::{EmulatedCamera, EmulatedSystem, Faults};
@@ -45,7 +45,15 @@ pub fn camera_config(serial: &str) -> CameraConfig {
 pub fn config() -> StereoConfig {
     let (left, right) = (camera_config("SN0000"), camera_config("SN0001"));
     let layout = DeviceLayout::TwoDevices;
-    StereoConfig { layout, range: None, left, right, skew_max: SKEW_MAX, speed_max_m_per_s: 0.1 }
+    StereoConfig {
+        layout,
+        range: None,
+        left,
+        right,
+        skew_max: SKEW_MAX,
+        skew_cost: SkewCost::OF_NO_SETUP,
+        shared_exposure: None,
+    }
 }
 
 /// One device with both views of 64x48 pixels.

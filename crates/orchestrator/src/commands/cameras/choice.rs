@@ -7,8 +7,8 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use pb3dp_camera_settings::{
-    CameraConfig, CameraName, ControlSettings, Crop, DeviceLayout, ModeRequest, PixelFormat, Setting, StampModel,
-    StereoConfig, ValueRange,
+    CameraConfig, CameraName, ControlSettings, Crop, DeviceLayout, ModeRequest, PixelFormat, Setting, SkewCost,
+    StampModel, StereoConfig, ValueRange,
 };
 use pb3dp_cell::calibration_facts::CalibrationFacts;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
@@ -19,9 +19,6 @@ use pb3dp_setup::region_spec::RegionSpec;
 use pb3dp_setup::setup::{interval, read_cameras};
 
 use crate::commands::rig::numbers::{millis, number, size};
-
-/// Default speed of the target for the effect of skew, m/s.
-const SPEED_M_PER_S: f64 = 0.1;
 
 /// Origin of the settings: the setup.
 const OF_NO_SETUP: [&str; 13] = [
@@ -173,15 +170,17 @@ impl CameraChoice {
             stamps: StampModel::default(),
             crop,
         };
-        let config = StereoConfig {
+        let mut config = StereoConfig {
             layout,
             range: self.values,
             left: camera(left, self.crop_left),
             right: camera(right, self.crop_right),
             skew_max: Duration::from_secs_f64(self.skew_max * 1e-3),
-            speed_max_m_per_s: SPEED_M_PER_S,
+            skew_cost: SkewCost::OF_NO_SETUP,
+            shared_exposure: None,
         };
         if let Some(rig) = &rig {
+            config.calibrate(rig)?;
             check_size(rig, config.size()).context("--size")?;
         }
         Ok(Chosen { config, rig, calibration: loaded.as_ref().map(facts), target: ChosenTarget::default() })
@@ -211,7 +210,7 @@ fn one_device() -> impl TypedValueParser<Value = DeviceLayout> {
 
 /// The cameras of a setup.
 fn of_setup(setup: &SetupArgs, needs_calibration: bool) -> Result<Chosen> {
-    let (cameras, range) = read_cameras(setup)?;
+    let (mut cameras, range) = read_cameras(setup)?;
     let loaded = match cameras.calibration() {
         Ok(loaded) => Some(loaded),
         Err(error) if needs_calibration => return Err(error),
@@ -220,6 +219,9 @@ fn of_setup(setup: &SetupArgs, needs_calibration: bool) -> Result<Chosen> {
             None
         }
     };
+    if let Some(loaded) = &loaded {
+        cameras.calibrate(&loaded.rig)?;
+    }
     let target = ChosenTarget { region: cameras.region, range: Some(range) };
     let (rig, calibration) = (loaded.as_ref().map(|loaded| loaded.rig), loaded.as_ref().map(facts));
     Ok(Chosen { config: cameras.stereo, rig, calibration, target })

@@ -97,12 +97,29 @@ pub(super) fn typed_of_one<A: clap::Args>(layout: &str, more: &[&str]) -> A {
     typed_with(&["--both", "serial:SN0000", "--views", layout], more)
 }
 
+/// Command-line arguments with the cameras of a setup: [configs/rig.toml](../../../../../configs/rig.toml) with these cameras.
+pub(super) fn typed_of_setup<A: clap::Args>(more: &[&str]) -> A {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/rig.toml").display().to_string();
+    let settings = [
+        "--set",
+        "camera.left.device=\"serial:SN0000\"",
+        "--set",
+        "camera.right.device=\"serial:SN0001\"",
+        "--set",
+        "camera.format=\"RGB3\"",
+    ];
+    parsed(&[&["pb3dp", "--config", &file], settings.as_slice(), more].concat())
+}
+
 fn typed_with<A: clap::Args>(names: &[&str], more: &[&str]) -> A {
+    parsed(&[&["pb3dp", "--exposure", "4"], names, more].concat())
+}
+
+fn parsed<A: clap::Args>(words: &[&str]) -> A {
     #[derive(Parser)]
     struct Line<A: clap::Args> {
         #[command(flatten)]
         args: A,
     }
-    let words = [&["pb3dp", "--exposure", "4"], names, more].concat();
     Line::<A>::parse_from(words).args
 }

@@ -84,11 +84,12 @@ fn checked(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &CheckArgs
     if let Some(rig) = &rig {
         check_size(rig, camera.info().size)?;
     }
+    camera.settle_exposure().context("the cameras cannot be used")?;
     let taken = take(&mut camera, clock.as_ref(), args.pairs as usize);
     if taken.moments.len() < 2 {
         bail!("{name}: no pairs come: {}", taken.failure.as_deref().unwrap_or("the driver reports no reason"));
     }
-    let mut findings = times::findings(&taken.moments, period, skew_max, &taken.counters);
+    let mut findings = times::findings(&taken.moments, period, (skew_max, &config.skew_cost), &taken.counters);
     findings.extend(ImageChecks::new(rig.as_ref()).findings(&taken.samples.iter().collect::<Vec<_>>()));
     if let Some(failure) = taken.failure {
         let found = format!("{} of {} pairs came: {failure}", taken.moments.len(), args.pairs);

@@ -73,6 +73,12 @@ fn one_device_with_both_views_passes_every_check() {
 fn each_fault_of_the_cameras_is_found_and_said() {
     let apart = check(&[], |side, camera| camera.phase = Duration::from_millis(40 + 8 * side as u64)).unwrap();
     assert_eq!(failed(&apart), ["skew"], "{}", apart.text());
+    let text = apart.text();
+    for part in
+        ["FAIL  skew: 8.00 ms at worst (at most 5.00); at 100 mm/s and a distance of 500 mm this is", "--skew-max"]
+    {
+        assert!(text.contains(part), "{part} is not in {text}");
+    }
     let borne = check(&["--skew-max", "9"], |side, camera| camera.phase = Duration::from_millis(40 + 8 * side as u64));
     assert!(borne.unwrap().passed);
     let drifting = check(&[], |side, camera| camera.slowness = 2e-4 * side as f64).unwrap();

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use pb3dp_camera_settings::SkewCost;
 use pb3dp_camera_v4l2::{StereoCounters, StreamCounters};
 use pb3dp_cell::camera_findings::{Finding, Limits};
 
@@ -26,10 +27,10 @@ pub(super) struct Moment {
 pub(super) fn findings(
     moments: &[Moment],
     period: Duration,
-    skew_max: Duration,
+    skew_limit: (Duration, &SkewCost),
     counters: &StereoCounters,
 ) -> Vec<Finding> {
-    vec![rate(moments, period), jitter(moments), skew(moments, skew_max, counters), missing(moments, counters)]
+    vec![rate(moments, period), jitter(moments), skew(moments, skew_limit, counters), missing(moments, counters)]
 }
 
 fn span(moments: &[Moment]) -> (f64, u64) {
@@ -70,18 +71,19 @@ fn jitter(moments: &[Moment]) -> Finding {
     )
 }
 
-fn skew(moments: &[Moment], skew_max: Duration, counters: &StereoCounters) -> Finding {
+fn skew(moments: &[Moment], (skew_max, cost): (Duration, &SkewCost), counters: &StereoCounters) -> Finding {
     let worst_ms = moments.iter().fold(0.0_f64, |worst, moment| worst.max(moment.skew_s.abs())) * 1e3;
     let mean_ms = moments.iter().map(|moment| moment.skew_s).sum::<f64>() / moments.len() as f64 * 1e3;
-    let mut found = format!("right less left, in the mean {mean_ms:+.2} ms");
+    let worst = Duration::try_from_secs_f64(worst_ms * 1e-3).unwrap_or_default();
+    let mut found = format!("{}; right less left, in the mean {mean_ms:+.2} ms", cost.text(worst));
     if let Some(drift) = counters.drift {
         found += &format!(", drifting by {:+.1} ppm", drift.rate * 1e6);
         if let Some(seconds) = drift.seconds_until(skew_max).filter(|seconds| *seconds > 0.0 && *seconds < 3600.0) {
             found += &format!(", beyond the limit in {seconds:.0} s");
         }
     }
-    let advice = "trigger both cameras by hardware; free-running ones drift through the whole period: start them again until they fit, or bear \
-                  a larger limit and move slowly (docs/rig.md, Triggering)";
+    let advice = "trigger both cameras by hardware; free-running ones drift through the whole period: start them again until they fit, or accept \
+                  a larger limit (camera.skew_max_millis, --skew-max) and move slowly (docs/rig.md, Triggering)";
     Finding::judged("skew", (worst_ms, "ms at worst"), Limits::at_most(skew_max.as_secs_f64() * 1e3), found, advice)
 }
 
@@ -116,6 +118,7 @@ mod tests {
     use super::*;
 
     const PERIOD: Duration = Duration::from_nanos(33_333_333);
+    const COST: SkewCost = SkewCost { speed_m_per_s: 0.1, distance_m: 0.5, baseline_m: Some(0.1) };
 
     fn moments(change: impl Fn(u64, &mut Moment)) -> Vec<Moment> {
         (0..300)
@@ -129,7 +132,7 @@ mod tests {
 
     #[track_caller]
     fn check(moments: &[Moment], expected: [bool; 4]) -> Vec<Finding> {
-        let findings = findings(moments, PERIOD, Duration::from_millis(5), &StereoCounters::default());
+        let findings = findings(moments, PERIOD, (Duration::from_millis(5), &COST), &StereoCounters::default());
         let found: Vec<bool> = findings.iter().map(|finding| finding.passed.unwrap()).collect();
         assert_eq!(found, expected, "{findings:?}");
         findings
@@ -150,6 +153,8 @@ mod tests {
             [true, true, false, true],
         );
         assert!((apart[2].value.unwrap() - 6.0).abs() < 1e-9);
+        let found = &apart[2].found;
+        assert!(found.starts_with("at 100 mm/s and a distance of 500 mm this is a depth error of 3.00 mm"), "{found}");
         let mut with_gaps = moments(|_, _| {});
         with_gaps.retain(|moment| moment.sequence % 60 != 30);
         let gaps = check(&with_gaps, [true, true, true, false]);
@@ -158,7 +163,7 @@ mod tests {
 
     #[test]
     fn too_few_pairs_fail() {
-        let findings = findings(&[], PERIOD, Duration::from_millis(5), &StereoCounters::default());
+        let findings = findings(&[], PERIOD, (Duration::from_millis(5), &COST), &StereoCounters::default());
         assert!(findings[..2].iter().all(|finding| finding.passed == Some(false)), "{findings:?}");
     }
 }

@@ -12,11 +12,12 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
+use pb3dp_camera_settings::SkewCost;
 use pb3dp_camera_v4l2::video::VideoSystem;
-use pb3dp_camera_v4l2::{Side, V4l2StereoCamera};
+use pb3dp_camera_v4l2::{Following, Side, StereoCounters, V4l2StereoCamera};
 use pb3dp_cell::terminal::{parse_seconds, print_line};
 use pb3dp_geometry::ImageSize;
-use pb3dp_hal_api::{Clock, StereoCamera};
+use pb3dp_hal_api::{CameraError, Clock, FramePair, StereoCamera, StereoCameraInfo};
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::calibration_files::{CAMERAS_FILE, CameraIdentity, save_cameras};
 use pb3dp_record::dataset::{SearchRange, SequenceDraft, SequenceWriter};
@@ -42,6 +43,9 @@ Object of --json:
   seconds          from the first to the last pair
   missing_queue    pairs left out because they could not be written fast enough
   missing_cameras  pairs that the cameras did not deliver, or that were damaged or too far apart
+  skew_max_ms      largest time between the two exposures of a pair that was delivered
+  skew_refused     pairs whose exposures were farther apart than the limit; they are missing
+  skew_cost        the position error of this time, in words: speed and distance of the target, millimetres
   failure          why it ended before its time, or null";
 
 /// Default search range of a recording: depths in metres, and the largest tilt.
@@ -112,6 +116,9 @@ struct Recorded {
     seconds: f64,
     missing_queue: u64,
     missing_cameras: u64,
+    skew_max_ms: f64,
+    skew_refused: u64,
+    skew_cost: String,
     failure: Option<String>,
     #[serde(skip)]
     complaint: Option<String>,
@@ -135,7 +142,10 @@ fn recorded(
         tracing::info!("{}: recording into {}", camera.info().name, args.out.display());
         let until = file::Until { pairs: args.pairs, time: args.seconds.map(Duration::from_secs_f64) };
         let identities = identities(&mut camera)?;
-        return file::record(&mut camera, clock.as_ref(), (&args.out, rig.as_ref(), &identities), &until, is_over);
+        let mut camera = LoggedCamera::settled(camera)?;
+        let destination = (args.out.as_path(), rig.as_ref(), &identities);
+        let recorded = file::record(&mut camera, clock.as_ref(), destination, &until, is_over)?;
+        return Ok(recorded.with_skew(&camera.camera.counters(), &config.skew_cost));
     }
     let Some(rig) = rig else {
         bail!(
@@ -154,12 +164,44 @@ fn recorded(
         V4l2StereoCamera::open(system, Arc::clone(&clock), &config).context("the cameras cannot be used")?;
     check_size(&rig, camera.info().size)?;
     let identities = identities(&mut camera)?;
+    let mut camera = LoggedCamera::settled(camera)?;
     let writer = SequenceWriter::create(&args.out, &rig, draft).context("--out")?;
     save_cameras(&identities, &args.out.join(CAMERAS_FILE)).context("--out")?;
     tracing::info!("{}: recording into {}", camera.info().name, args.out.display());
     let outcome =
         record(&mut camera, clock.as_ref(), writer, &plan, &|files, pair| files.save(&pair.left, &pair.right), is_over);
-    Ok(Recorded::of(outcome, &args.out))
+    Ok(Recorded::of(outcome, &args.out).with_skew(&camera.camera.counters(), &config.skew_cost))
+}
+
+/// Cameras whose exposure is settled. A recording is for `pb3dp track`, so a shared exposure then changes only slowly; changes are logged.
+struct LoggedCamera {
+    camera: V4l2StereoCamera,
+}
+
+impl LoggedCamera {
+    fn settled(mut camera: V4l2StereoCamera) -> Result<Self> {
+        camera.settle_exposure().context("the cameras cannot be used")?;
+        camera.set_following(Following::Confident);
+        Ok(Self { camera })
+    }
+}
+
+impl StereoCamera for LoggedCamera {
+    fn info(&self) -> &StereoCameraInfo {
+        self.camera.info()
+    }
+
+    fn next_pair_into(&mut self, pair: &mut FramePair, timeout: Duration) -> Result<(), CameraError> {
+        let outcome = self.camera.next_pair_into(pair, timeout);
+        while let Some(event) = self.camera.take_exposure_event() {
+            if event.is_warning() {
+                tracing::warn!("{event}");
+            } else {
+                tracing::info!("{event}");
+            }
+        }
+        outcome
+    }
 }
 
 /// A calibration with the recorded images states the cameras that it belongs to.
@@ -219,6 +261,18 @@ impl Recorded {
             missing_cameras: cameras,
             failure: failure.map(|failure| failure_text(failure, folder, pairs)),
             complaint,
+            ..Self::default()
+        }
+    }
+
+    /// The same with the skew of the pairs, and its cost.
+    fn with_skew(self, counters: &StereoCounters, cost: &SkewCost) -> Self {
+        let skew = Duration::from_nanos(counters.skew_max_nanos);
+        Self {
+            skew_max_ms: skew.as_secs_f64() * 1e3,
+            skew_refused: counters.skew_refused,
+            skew_cost: cost.text(skew),
+            ..self
         }
     }
 
@@ -226,8 +280,16 @@ impl Recorded {
         let Self { pairs, seconds, missing_queue, missing_cameras, .. } = self;
         let place = self.file.as_ref().map_or_else(|| "nothing was kept".to_owned(), |file| file.display().to_string());
         let rate = if *seconds > 0.0 { (pairs + missing_queue).saturating_sub(1) as f64 / seconds } else { 0.0 };
+        let skew = if self.skew_max_ms > 0.0 {
+            format!(
+                "\nskew at most {:.2} ms: {}; {} pairs refused for it",
+                self.skew_max_ms, self.skew_cost, self.skew_refused
+            )
+        } else {
+            String::new()
+        };
         format!(
-            "{pairs} pairs in {seconds:.2} s ({rate:.2} per second), {} missing: {place}",
+            "{pairs} pairs in {seconds:.2} s ({rate:.2} per second), {} missing: {place}{skew}",
             missing_queue + missing_cameras
         )
     }

@@ -4,14 +4,14 @@ use std::os::unix::fs::symlink;
 use std::sync::Mutex;
 
 use clap::Parser as _;
-use pb3dp_bag::messages::Image;
+use pb3dp_bag::messages::{Image, Text};
 use pb3dp_bag::pairs::{PairOptions, StereoBag, decoded};
 use pb3dp_bag::topics::ours;
 use pb3dp_camera_v4l2::emulated::EmulatedCamera;
 use pb3dp_record::calibration_files::load_stereo;
 use pb3dp_record::dataset::load_sequence;
 
-use super::super::emulated_rig::{case, images, number_in, system, system_of_one, typed, typed_of_one};
+use super::super::emulated_rig::{case, images, number_in, system, system_of_one, typed, typed_of_one, typed_of_setup};
 use super::*;
 use crate::cli::{Cli, Command};
 
@@ -374,4 +374,81 @@ fn a_file_has_both_views_of_one_device() {
             );
         }
     }
+}
+
+#[test]
+fn a_recording_states_the_skew_and_its_cost() {
+    let place = Place::new();
+    let (system, clock) = system(|side, camera| camera.phase = Duration::from_millis(40 + 4 * side as u64));
+    let line = recorded(system, clock, &place.args(&["--pairs", "3"]), &mut never).unwrap();
+    assert!((line.skew_max_ms - 4.0).abs() < 1e-9 && line.skew_refused == 0, "{line:?}");
+    let baseline_mm = load_stereo(&[case().calibration]).unwrap().rig.baseline_m() * 1e3;
+    let cost = format!(
+        "skew at most 4.00 ms: at 100 mm/s and a distance of 500 mm this is a depth error of {:.2} mm; 0 pairs refused",
+        0.4 * 500.0 / baseline_mm
+    );
+    assert!(line.text().contains(&cost), "{} has not {cost}", line.text());
+    // Above the limit no pair is recorded, and the error says what to do.
+    let place = Place::new();
+    let (system, clock) = system_of_phases(8);
+    let line = recorded(system, clock, &place.args(&["--pairs", "3"]), &mut never).unwrap();
+    let wrong = line.wrong().unwrap();
+    for part in [
+        "right was exposed 8.0 ms after left, at most 5.0 ms is allowed",
+        "a depth error of",
+        "--skew-max) and move slowly",
+    ] {
+        assert!(wrong.contains(part), "{part} is not in {wrong}");
+    }
+    assert!(line.skew_refused > 10, "{line:?}");
+    let (system, clock) = system_of_phases(8);
+    let line = recorded(system, clock, &place.args(&["--pairs", "3", "--skew-max", "9"]), &mut never).unwrap();
+    assert_eq!((line.pairs, line.wrong()), (3, None));
+}
+
+fn system_of_phases(apart_millis: u64) -> (Arc<pb3dp_camera_v4l2::emulated::EmulatedSystem>, Arc<dyn Clock>) {
+    system(|side, camera| camera.phase = Duration::from_millis(40 + apart_millis * side as u64))
+}
+
+#[test]
+fn a_shared_exposure_is_settled_first_and_each_change_is_recorded() {
+    let place = Place::new();
+    let file = place.folder.path().join("pairs.mcap");
+    let args: RecordArgs = typed_of_setup(&[
+        "--set",
+        "camera.left.exposure_millis=\"shared\"",
+        "--set",
+        "camera.right.exposure_millis=\"shared\"",
+        "--out",
+        &file.display().to_string(),
+        "--pairs",
+        "150",
+    ]);
+    let (system, clock) = system(|_, camera| camera.light = Some(4.0));
+    let (mut pairs, cameras) = (0, Arc::clone(&system));
+    // The light falls by a third after a second.
+    let mut darker = || {
+        pairs += 1;
+        if pairs == 30 {
+            for side in 0..2 {
+                cameras.with(side, |camera| camera.light = camera.light.map(|light| light / 1.5)).unwrap();
+            }
+        }
+        false
+    };
+    let line = recorded(system, clock, &args, &mut darker).unwrap();
+    assert_eq!((line.pairs, line.wrong()), (150, None));
+    let bag = StereoBag::open(&file, PairOptions::default()).unwrap();
+    let messages = bag.bag().messages().map(Result::unwrap).filter(|message| message.channel.topic == ours::EXPOSURE);
+    let told: Vec<serde_json::Value> =
+        messages.map(|message| serde_json::from_str(&decoded::<Text>(&message).unwrap().data).unwrap()).collect();
+    // That of the first pair; then for each change the first pair after it, and the first settled one.
+    let number = |value: &serde_json::Value, key: &str| value[key].as_f64().unwrap();
+    assert!(told.len() >= 5 && told[0]["is_settling"] == false, "{told:?}");
+    for two in told[1..].chunks(2).filter(|two| two.len() == 2) {
+        assert!(two[0]["is_settling"] == true && two[1]["is_settling"] == false, "{two:?}");
+        assert!(two[0]["changes"] == two[1]["changes"] && (1.0..=1.1).contains(&number(&two[0], "factor")), "{two:?}");
+    }
+    let between: Vec<f64> = told[1..].chunks(2).map(|two| number(&two[0], "sequence")).collect();
+    assert!(between.windows(2).all(|two| two[1] - two[0] >= 29.0), "{between:?}");
 }
