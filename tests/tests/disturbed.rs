@@ -273,7 +273,9 @@ impl Mover for Disturbed<'_> {
 
     fn step(&mut self, now: MonotonicTime) -> Result<Moved> {
         self.disturb(now)?;
-        while let Some((_, percept)) = self.waiting.pop_front_if(|(due, _)| *due <= now) {
+        while self.waiting.front().is_some_and(|(due, _)| *due <= now)
+            && let Some((_, percept)) = self.waiting.pop_front()
+        {
             self.inner.observe(percept, now);
         }
         let moved = self.inner.step(self.clock.now())?;
