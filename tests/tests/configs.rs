@@ -125,13 +125,15 @@ fn the_setups_differ_only_in_what_they_are_for() {
     );
 }
 
-/// The cameras of a rig alone equal those of its setup.
+/// The cameras of a rig alone equal those of its setup, except for the baseline, for which the calibration must be read.
 #[test]
 fn the_cameras_of_the_rig_can_be_read_alone() {
     let file = repository().join("configs/rig.toml");
     let (cameras, range) = read_cameras(&SetupArgs::of_file(&file)).unwrap();
     let setup = read_setup(&file).unwrap();
-    assert_eq!((Some(&cameras), range), (setup.rig.real_cameras.as_ref(), setup.range));
+    let mut of_setup = setup.rig.real_cameras.clone().unwrap();
+    assert_eq!(of_setup.stereo.skew_cost.baseline_m.take(), Some(0.1));
+    assert_eq!((&cameras, range), (&of_setup, setup.range));
     assert_eq!(cameras.size(), ImageSize { width: 640, height: 480 });
     assert_eq!(cameras.calibration().unwrap().rig.baseline_m(), 0.1);
     let refused = read_cameras(&SetupArgs::of_file(&repository().join("configs/hil.toml"))).unwrap_err().to_string();
