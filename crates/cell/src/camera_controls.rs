@@ -7,6 +7,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::FollowedTarget;
 use serde::Serialize;
 
 /// Requests that wait for the cameras; one page has one at a time.
@@ -154,18 +155,6 @@ pub enum ControlRequest {
         /// New value.
         value: i32,
     },
-}
-
-/// The target of a run: it decides how the exposure may change.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum FollowedTarget {
-    /// There is none.
-    #[default]
-    Nothing,
-    /// Its depth is known with confidence.
-    Confident,
-    /// Its pose is not confident, or the target is lost.
-    Doubtful,
 }
 
 /// A [`FollowedTarget`] for two threads.

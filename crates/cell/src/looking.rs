@@ -11,13 +11,13 @@ use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::frames::{Base, CamLeft};
 use pb3dp_geometry::{MonotonicTime, Pose};
-use pb3dp_hal_api::Clock;
+use pb3dp_hal_api::{Clock, FollowedTarget};
 use pb3dp_kinematics::JointState;
 use pb3dp_servo::JointHistory;
 use pb3dp_setup::setup::{Pace, Setup};
 
 use super::both_arms::in_words;
-use super::camera_controls::{ControlDesk, FollowedTarget};
+use super::camera_controls::ControlDesk;
 use super::capturing::{Captured, Capturing};
 use super::cell::{JOINT_GAP_MAX_S, SimulatedCell};
 use super::halves::Capture;

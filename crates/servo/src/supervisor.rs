@@ -77,7 +77,7 @@ pub struct Decision {
     pub refused: Option<Refusal>,
 }
 
-/// Share of the velocity while images seem to be late. Chosen: the loop of images that are 0.2 s late grows with 0.6 and not with 0.3.
+/// Share of the velocity while images seem to be late, until the hold. Chosen: a loop with a third of its gain bears three times the delay.
 const LATE_IMAGES_SHARE: f64 = 0.3;
 
 /// Supervisor of both arms.

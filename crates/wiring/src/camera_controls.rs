@@ -5,10 +5,10 @@ use std::time::Duration;
 
 use pb3dp_camera_v4l2::controls::{Control, is_automatic, moves_the_lens, unit_of};
 use pb3dp_camera_v4l2::video::ControlKind as DriverKind;
-use pb3dp_camera_v4l2::{Following, ReopeningCamera, Side, StreamCounters};
+use pb3dp_camera_v4l2::{ReopeningCamera, Side, StreamCounters};
 use pb3dp_cell::camera_controls::{
-    CameraControl, ControlDesk, ControlEnd, ControlKind, ControlMode, ControlRequest, ControlUnit, FollowedTarget,
-    ImageLosses, MenuItem, PendingControl, control_desk,
+    CameraControl, ControlDesk, ControlEnd, ControlKind, ControlMode, ControlRequest, ControlUnit, ImageLosses,
+    MenuItem, PendingControl, control_desk,
 };
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraError, Clock, FramePair, StereoCamera, StereoCameraInfo};
@@ -72,18 +72,14 @@ impl ControlService {
 
     /// Answers the requests that wait, and states what is followed; to be called between two pairs.
     pub(super) fn serve(&mut self, camera: &mut ReopeningCamera) {
-        camera.set_following(match self.end.target() {
-            FollowedTarget::Nothing => Following::Nothing,
-            FollowedTarget::Confident => Following::Confident,
-            FollowedTarget::Doubtful => Following::Doubtful,
-        });
+        camera.set_following(self.end.target());
         if self.read_after.replace(camera.reopened()) != Some(camera.reopened()) {
             // Who asks for the controls reads them again and gets the error; here no pair waits for a driver twice.
             let _ = self.read(camera);
         }
         for _ in 0..REQUESTS_AT_ONCE {
             let Some(PendingControl { request, answer, .. }) = self.end.next(self.clock.now()) else { break };
-            answer(self.answered(camera, request).map_err(|error| in_words(&error)));
+            answer(self.answered(camera, request).map_err(|error| error.with_causes()));
         }
     }
 
@@ -91,7 +87,7 @@ impl ControlService {
     pub(super) fn note(&mut self, camera: &ReopeningCamera, outcome: &Result<(), CameraError>) {
         let counters = camera.counters();
         self.end.show(|shown| {
-            shown.problem = outcome.as_ref().err().map(in_words);
+            shown.problem = outcome.as_ref().err().map(CameraError::with_causes);
             for (camera, counters) in shown.cameras.iter_mut().zip([&counters.left, &counters.right]) {
                 camera.losses = losses_in(counters);
             }
@@ -146,17 +142,6 @@ fn losses_in(counters: &StreamCounters) -> ImageLosses {
         unpaired: counters.unpaired,
         wrongly_stamped: counters.not_newer + counters.future + counters.unstamped,
     }
-}
-
-/// An error with its causes.
-fn in_words(error: &CameraError) -> String {
-    let mut words = error.to_string();
-    let mut source = std::error::Error::source(error);
-    while let Some(cause) = source {
-        words = format!("{words}: {cause}");
-        source = cause.source();
-    }
-    words
 }
 
 /// Bare cameras, whose controls can be changed at any time: nothing carries them.

@@ -17,5 +17,6 @@ pub use clock::Clock;
 pub use pb3dp_kinematics::JointState;
 pub use recent::RecentFailures;
 pub use stereo_camera::{
-    CameraError, CameraErrorKind, DeliveredImage, FramePair, PairExposure, StereoCamera, StereoCameraInfo,
+    CameraError, CameraErrorKind, DeliveredImage, FollowedTarget, FramePair, PairExposure, StereoCamera,
+    StereoCameraInfo,
 };

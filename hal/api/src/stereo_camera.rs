@@ -24,6 +24,18 @@ pub struct FramePair {
     pub exposure: Option<PairExposure>,
 }
 
+/// What the cameras are used for: it decides how an exposure that the program controls may change.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum FollowedTarget {
+    /// No target: the exposure may change at once.
+    #[default]
+    Nothing,
+    /// A target whose depth is known with confidence: slow changes.
+    Confident,
+    /// A target whose pose is not confident, or which is lost: no change for a while, then slow ones.
+    Doubtful,
+}
+
 /// Exposure time and gain that both cameras were asked for, of cameras whose exposure the program adapts to the light.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PairExposure {
@@ -139,6 +151,17 @@ impl CameraError {
     /// The kind: policies decide by it.
     pub fn kind(&self) -> CameraErrorKind {
         self.kind
+    }
+
+    /// The error with its causes, in one line.
+    pub fn with_causes(&self) -> String {
+        let mut text = self.to_string();
+        let mut cause = std::error::Error::source(self);
+        while let Some(error) = cause {
+            text = format!("{text}: {error}");
+            cause = error.source();
+        }
+        text
     }
 }
 

@@ -5,11 +5,10 @@ use std::time::Duration;
 
 use pb3dp_camera_settings::{CommonExposure, SkewCost, StereoConfig};
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
+use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FollowedTarget, FramePair, StereoCamera, StereoCameraInfo};
 
 use crate::controls::{self, Control, Focus};
 use crate::error::{failed, unusable};
-use crate::exposure_control::Following;
 use crate::modes::Mode;
 use crate::names::CaptureDevice;
 use crate::opening::{OpenedDevices, open_devices};
@@ -219,7 +218,7 @@ impl V4l2StereoCamera {
     }
 
     /// States what follows the target: the exposure then changes slowly, or not at all.
-    pub fn set_following(&mut self, following: Following) {
+    pub fn set_following(&mut self, following: FollowedTarget) {
         if let Some(exposure) = &mut self.exposure {
             exposure.set_following(following);
         }

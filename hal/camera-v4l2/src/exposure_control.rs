@@ -7,6 +7,7 @@
 use std::time::Duration;
 
 use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::FollowedTarget;
 
 use crate::brightness::Brightness;
 
@@ -48,18 +49,6 @@ const SATURATED_GREY_SHARE: f64 = 0.6;
 /// Steps of the gain: share of the driver's range while a target is followed, and while nothing is. The unit of a gain is not known; a
 /// range of 50 dB has steps of 6 % then.
 const GAIN_SHARES: [f64; 2] = [0.01, 0.06];
-
-/// What the tracker follows: it decides how the exposure may change.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Following {
-    /// No target: the exposure may change at once.
-    #[default]
-    Nothing,
-    /// A target with a confident pose: slow changes.
-    Confident,
-    /// A target whose pose is not confident, or which is lost: no change for a while, then slow ones.
-    Doubtful,
-}
 
 /// Exposure time and gain, in units of the driver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -262,20 +251,20 @@ impl ExposureController {
     /// is for.
     pub fn observe(
         &mut self,
-        (at, following): (MonotonicTime, Following),
+        (at, following): (MonotonicTime, FollowedTarget),
         sides: [Brightness; 2],
         exposure: ExposureUnits,
     ) -> Option<(ExposureUnits, f64)> {
         self.doubtful_since = match (following, self.doubtful_since) {
-            (Following::Doubtful, since) => Some(since.unwrap_or(at)),
-            (Following::Nothing | Following::Confident, _) => None,
+            (FollowedTarget::Doubtful, since) => Some(since.unwrap_or(at)),
+            (FollowedTarget::Nothing | FollowedTarget::Confident, _) => None,
         };
         if self.is_settling(at) {
             return None;
         }
         let means = self.average(sides)?;
         let verdict = judge(self.target_grey, means);
-        let size = if following == Following::Nothing { StepSize::Free } else { StepSize::Followed };
+        let size = if following == FollowedTarget::Nothing { StepSize::Free } else { StepSize::Followed };
         let next = next(verdict, exposure, &self.limits, size);
         self.rests = next.is_none();
         self.at_limit = Some(verdict).filter(|verdict| next.is_none() && *verdict != Verdict::Good);
@@ -283,9 +272,9 @@ impl ExposureController {
         next.filter(|_| self.may_change(at, following)).map(|next| (next, grey))
     }
 
-    fn may_change(&self, at: MonotonicTime, following: Following) -> bool {
+    fn may_change(&self, at: MonotonicTime, following: FollowedTarget) -> bool {
         let is_over = |since: Option<MonotonicTime>, time| since.is_none_or(|since| at.saturating_since(since) >= time);
-        let is_slow_enough = following == Following::Nothing || is_over(self.changed_at, BETWEEN_FOLLOWED);
+        let is_slow_enough = following == FollowedTarget::Nothing || is_over(self.changed_at, BETWEEN_FOLLOWED);
         is_slow_enough && is_over(self.doubtful_since, DOUBTFUL_FOR) && is_over(self.failed_at, AFTER_FAILURE)
     }
 

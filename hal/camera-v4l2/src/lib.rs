@@ -29,7 +29,6 @@ pub mod timing;
 pub mod video;
 
 pub use camera::{CameraIdentity, StereoCounters, V4l2StereoCamera};
-pub use exposure_control::Following;
 pub use reopening::ReopeningCamera;
 pub use shared_exposure::ExposureEvent;
 pub use stream::{Side, StreamCounters};

@@ -5,12 +5,11 @@ use std::time::Duration;
 
 use pb3dp_camera_settings::StereoConfig;
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
+use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FollowedTarget, FramePair, StereoCamera, StereoCameraInfo};
 
 use crate::camera::{CameraIdentity, StereoCounters, V4l2StereoCamera};
 use crate::controls::Control;
 use crate::error::unusable;
-use crate::exposure_control::Following;
 use crate::names::CaptureDevice;
 use crate::shared_exposure::ExposureEvent;
 use crate::stream::Side;
@@ -38,7 +37,7 @@ pub struct ReopeningCamera {
     /// Offset from the numbers of the open camera to the delivered numbers; `None` until its first pair.
     offset: Option<u64>,
     reopened: u64,
-    following: Following,
+    following: FollowedTarget,
 }
 
 enum State {
@@ -79,7 +78,7 @@ impl ReopeningCamera {
             last: None,
             offset: None,
             reopened: 0,
-            following: Following::Nothing,
+            following: FollowedTarget::Nothing,
         })
     }
 
@@ -117,7 +116,7 @@ impl ReopeningCamera {
     }
 
     /// As [`V4l2StereoCamera::set_following`].
-    pub fn set_following(&mut self, following: Following) {
+    pub fn set_following(&mut self, following: FollowedTarget) {
         self.following = following;
         if let State::Open(camera) = &mut self.state {
             camera.set_following(following);

@@ -6,13 +6,13 @@ use std::time::Duration;
 
 use pb3dp_camera_settings::{CommonExposure, SharedExposure};
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{CameraError, CameraErrorKind, FramePair, PairExposure};
+use pb3dp_hal_api::{CameraError, CameraErrorKind, FollowedTarget, FramePair, PairExposure};
 
 use crate::brightness::brightness_of;
 use crate::controls::{self, EXPOSURE_UNIT, id};
 use crate::error::{failed, unusable};
 use crate::exposure_control::{
-    ExposureController, ExposureLimits, ExposureUnits, Following, SETTLING_PERIODS, UnitRange, Verdict,
+    ExposureController, ExposureLimits, ExposureUnits, SETTLING_PERIODS, UnitRange, Verdict,
 };
 use crate::stream::{Stream, Streams};
 use crate::video::ControlEntry;
@@ -95,7 +95,7 @@ pub(crate) struct ExposurePair {
     sides: Vec<SideControls>,
     controller: ExposureController,
     target_grey: f64,
-    following: Following,
+    following: FollowedTarget,
     now: ExposureUnits,
     /// The next exposure and the brightness that it is for: set before the next pair, so that this one is not late.
     wanted: Option<(ExposureUnits, f64)>,
@@ -128,7 +128,7 @@ impl ExposurePair {
             controller: ExposureController::new(config.target_grey, limits, period),
             sides,
             target_grey: config.target_grey,
-            following: Following::Nothing,
+            following: FollowedTarget::Nothing,
             now: limits.clamp(present),
             wanted: None,
             differs: None,
@@ -152,7 +152,7 @@ impl ExposurePair {
     }
 
     /// What follows the target.
-    pub(crate) fn set_following(&mut self, following: Following) {
+    pub(crate) fn set_following(&mut self, following: FollowedTarget) {
         // A change that was decided for free images is too large for a target.
         if following != self.following {
             self.wanted = None;
@@ -199,7 +199,7 @@ impl ExposurePair {
             }
             Err(error) if error.kind() == CameraErrorKind::Disconnected => Err(error),
             Err(error) => {
-                let text = with_causes(&error);
+                let text = error.with_causes();
                 self.differs = Some(text.clone());
                 self.restore(streams, now)?;
                 self.tell(ExposureEvent::Failed(text));
@@ -388,14 +388,4 @@ fn set(stream: &mut Stream, side: &SideControls, exposure: ExposureUnits) -> Res
         controls::verify(stream.node(), &device, entry, value)?;
     }
     Ok(())
-}
-
-fn with_causes(error: &CameraError) -> String {
-    let mut text = error.to_string();
-    let mut cause = std::error::Error::source(error);
-    while let Some(error) = cause {
-        text = format!("{text}: {error}");
-        cause = error.source();
-    }
-    text
 }

@@ -8,8 +8,8 @@ use crate::support::{Rig, SECOND, config, millis};
 use pb3dp_camera_settings::{PixelFormat, Setting, SharedExposure, StereoConfig};
 use pb3dp_camera_v4l2::controls::id;
 use pb3dp_camera_v4l2::emulated::{Call, EmulatedCamera};
-use pb3dp_camera_v4l2::{ExposureEvent, Following, ReopeningCamera, Side, V4l2StereoCamera};
-use pb3dp_hal_api::{CameraErrorKind, FramePair, StereoCamera};
+use pb3dp_camera_v4l2::{ExposureEvent, ReopeningCamera, Side, V4l2StereoCamera};
+use pb3dp_hal_api::{CameraErrorKind, FollowedTarget, FramePair, StereoCamera};
 use rustix::io::Errno;
 
 const TARGET_GREY: f64 = 100.0;
@@ -93,7 +93,7 @@ fn both_cameras_are_brought_back_to_the_target_when_the_light_halves() {
     let (announced, pair) = run(&rig, &mut camera, 60);
     assert_eq!(announced, vec![]);
     assert!(mean(&pair).iter().all(|grey| (grey - TARGET_GREY).abs() < 2.0), "{:?}", mean(&pair));
-    camera.set_following(Following::Confident);
+    camera.set_following(FollowedTarget::Confident);
     for number in 0..2 {
         rig.system.with(number, |camera| camera.light = Some(0.5)).unwrap();
     }

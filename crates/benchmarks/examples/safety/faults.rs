@@ -249,9 +249,11 @@ impl Kind {
             Self::EmergencyStopOfBoth => &["emergency stop"],
             Self::Unplugged(_) => &["the link is gone"],
             Self::Arm { name: "arm: emergency stop" | "arm: limit switch", .. } => &["emergency stop", "switch"],
-            // The code of an alarm may be that of an emergency stop, and the gateway names the cause.
-            Self::Arm { name: "arm: servo alarm" | "arm: controller alarm", line, .. } if line.contains("0x11") => {
-                &["alarm", "exchanges in a row", "emergency stop"]
+            // The gateway reports the alarms of the switches as such.
+            Self::Arm { name: "arm: servo alarm" | "arm: controller alarm", line, .. }
+                if ["0x11", "0x12", "0x13"].iter().any(|code| line.contains(code)) =>
+            {
+                &["alarm", "exchanges in a row", "switch"]
             }
             Self::Arm { name: "arm: servo alarm" | "arm: controller alarm", .. } => &["alarm", "exchanges in a row"],
             Self::Arm { name: "arm: power", .. } => &["exchanges in a row", "power", "gateway", "alarm"],

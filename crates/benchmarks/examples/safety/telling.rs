@@ -138,6 +138,7 @@ fn latched(truth: &Truth, at_s: f64, before_s: f64) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use system_tests::safety::rules::Rules;
     use system_tests::safety::truth::{ArmTruth, LogLine, Placement, Step};
 
     fn arm(arm: usize, name: &'static str, line: &str, end: Option<&str>) -> Fault {
@@ -189,6 +190,11 @@ mod tests {
         assert!(told(&[switch()], &[never], &[]).is_empty());
         let late = Happened { could_stop: false, ..from_to(2.0, 3.0) };
         assert!(told(&[switch()], &[late], &[]).is_empty());
+    }
+
+    #[test]
+    fn the_log_has_the_time_of_the_rules() {
+        assert_eq!(WRITTEN_S, Rules::of_the_rig().log_within_s);
     }
 
     #[test]

@@ -27,7 +27,7 @@ fn seen(light: f64, exposure: ExposureUnits, gamma: f64) -> f64 {
 fn run(
     light: impl Fn(f64) -> f64,
     (mut exposure, gamma): (ExposureUnits, f64),
-    following: impl Fn(f64) -> Following,
+    following: impl Fn(f64) -> FollowedTarget,
     seconds: f64,
 ) -> (Vec<(f64, ExposureUnits)>, f64) {
     let mut controller = ExposureController::new(110.0, LIMITS, PERIOD);
@@ -52,7 +52,7 @@ fn a_scene_that_becomes_darker_by_two_is_brought_back_slowly_while_a_target_is_f
         // The grey level is 110 at the start.
         let bright = (110.0_f64 / 255.0).powf(gamma) / (40.0 * (1.0 + 10.0 / 64.0));
         let light = |now_s: f64| if now_s < 3.0 { bright } else { bright / 2.0 };
-        let (changes, last) = run(light, (START, gamma), |_| Following::Confident, 30.0);
+        let (changes, last) = run(light, (START, gamma), |_| FollowedTarget::Confident, 30.0);
         assert!(changes.iter().all(|(now_s, _)| *now_s > 3.0) && !changes.is_empty(), "{changes:?}");
         assert!((last / 110.0 - 1.0).abs() <= 0.11, "gamma {gamma}: {last} after {changes:?}");
         let mut before = START;
@@ -70,7 +70,7 @@ fn a_scene_that_becomes_darker_by_two_is_brought_back_slowly_while_a_target_is_f
 #[test]
 fn without_a_target_the_brightness_is_reached_within_two_seconds() {
     for light in [0.003, 0.05] {
-        let (changes, last) = run(|_| light, (START, 1.0), |_| Following::Nothing, 4.0);
+        let (changes, last) = run(|_| light, (START, 1.0), |_| FollowedTarget::Nothing, 4.0);
         assert!((last / 110.0 - 1.0).abs() <= 0.11, "{last} after {changes:?}");
         assert!(changes.iter().all(|(now_s, _)| *now_s < 2.0), "{changes:?}");
     }
@@ -78,12 +78,12 @@ fn without_a_target_the_brightness_is_reached_within_two_seconds() {
 
 #[test]
 fn the_time_is_used_before_the_gain_and_both_end_at_their_limits() {
-    let (changes, _) = run(|_| 1e-6, (START, 1.0), |_| Following::Nothing, 10.0);
+    let (changes, _) = run(|_| 1e-6, (START, 1.0), |_| FollowedTarget::Nothing, 10.0);
     let first_gain = changes.iter().position(|(_, next)| next.gain != START.gain).unwrap();
     assert_eq!(changes[first_gain].1.time, 80, "{changes:?}");
     assert_eq!(changes.last().unwrap().1, ExposureUnits { time: 80, gain: Some(60) });
     let begin = ExposureUnits { time: 80, gain: Some(60) };
-    let (changes, _) = run(|_| 1e3, (begin, 1.0), |_| Following::Nothing, 10.0);
+    let (changes, _) = run(|_| 1e3, (begin, 1.0), |_| FollowedTarget::Nothing, 10.0);
     let first_time = changes.iter().position(|(_, next)| next.time != 80).unwrap();
     assert_eq!(changes[first_time].1.gain, Some(10), "{changes:?}");
     assert_eq!(changes.last().unwrap().1, ExposureUnits { time: 5, gain: Some(10) });
@@ -93,11 +93,12 @@ fn the_time_is_used_before_the_gain_and_both_end_at_their_limits() {
 fn nothing_changes_while_the_pose_is_doubtful_and_only_slowly_after_that() {
     // A hand in front of the cameras for 1.5 s.
     let light = |now_s: f64| if (3.0..4.5).contains(&now_s) { 0.001 } else { 0.0107 };
-    let doubtful = |now_s: f64| if (3.0..4.6).contains(&now_s) { Following::Doubtful } else { Following::Confident };
+    let doubtful =
+        |now_s: f64| if (3.0..4.6).contains(&now_s) { FollowedTarget::Doubtful } else { FollowedTarget::Confident };
     let start = ExposureUnits { time: 35, gain: Some(10) };
     let (changes, _) = run(light, (start, 1.0), doubtful, 10.0);
     assert_eq!(changes, vec![]);
-    let (changes, _) = run(|_| 0.001, (start, 1.0), |_| Following::Doubtful, 6.0);
+    let (changes, _) = run(|_| 0.001, (start, 1.0), |_| FollowedTarget::Doubtful, 6.0);
     assert!(changes[0].0 >= 2.0 && changes.len() <= 4, "{changes:?}");
 }
 
@@ -107,7 +108,7 @@ fn a_failed_change_is_tried_again_later() {
     let mut tries = Vec::new();
     for number in 0..700 {
         let now_s = f64::from(number) / 30.0;
-        if controller.observe((at(now_s), Following::Nothing), grey(30.0), START).is_some() {
+        if controller.observe((at(now_s), FollowedTarget::Nothing), grey(30.0), START).is_some() {
             tries.push(now_s);
             controller.failed(at(now_s));
         }
@@ -187,11 +188,11 @@ proptest! {
             if let Some((gain, value)) = gain.zip(exposure.gain) {
                 prop_assert!(is_within(value, &gain), "{:?} of {:?}", exposure, gain);
             }
-            let following = [Following::Nothing, Following::Confident, Following::Doubtful][usize::from(following)];
+            let following = [FollowedTarget::Nothing, FollowedTarget::Confident, FollowedTarget::Doubtful][usize::from(following)];
             for pair in 0..6 {
                 let now = at(number as f64 * 10.0 + f64::from(pair) / 30.0);
                 if let Some((next, _)) = controller.observe((now, following), [left, right], exposure) {
-                    if following != Following::Nothing && exposure.time > 0 {
+                    if following != FollowedTarget::Nothing && exposure.time > 0 {
                         let factor = f64::from(next.time) / f64::from(exposure.time);
                         prop_assert!((1.0 / 1.1 - 1e-6..=1.1 + 1e-6).contains(&factor), "{} of {:?}", factor, exposure);
                     }

@@ -216,6 +216,7 @@ fn jerk(rules: &Rules, (arm, joint): (usize, usize), steps: &[Step], found: &mut
 /// speed loses no more within a window than the commanded one: its share of the time of the fade, times the speed before it.
 #[derive(Default)]
 struct Fade {
+    /// Length of the windows, seconds.
     window_s: f64,
     /// Until this time a window may contain a moment at which the drives still followed the fade.
     until_s: f64,

@@ -14,10 +14,10 @@ use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
 use pb3dp_camera_settings::SkewCost;
 use pb3dp_camera_v4l2::video::VideoSystem;
-use pb3dp_camera_v4l2::{Following, Side, StereoCounters, V4l2StereoCamera};
+use pb3dp_camera_v4l2::{Side, StereoCounters, V4l2StereoCamera};
 use pb3dp_cell::terminal::{parse_seconds, print_line};
 use pb3dp_geometry::ImageSize;
-use pb3dp_hal_api::{CameraError, Clock, FramePair, StereoCamera, StereoCameraInfo};
+use pb3dp_hal_api::{CameraError, Clock, FollowedTarget, FramePair, StereoCamera, StereoCameraInfo};
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::calibration_files::{CAMERAS_FILE, CameraIdentity, save_cameras};
 use pb3dp_record::dataset::{SearchRange, SequenceDraft, SequenceWriter};
@@ -181,7 +181,7 @@ struct LoggedCamera {
 impl LoggedCamera {
     fn settled(mut camera: V4l2StereoCamera) -> Result<Self> {
         camera.settle_exposure().context("the cameras cannot be used")?;
-        camera.set_following(Following::Confident);
+        camera.set_following(FollowedTarget::Confident);
         Ok(Self { camera })
     }
 }

@@ -206,7 +206,7 @@ impl Taking<'_> {
                 }
                 Err(error) => {
                     let goes_on = matches!(error.kind(), CameraErrorKind::Timeout | CameraErrorKind::BadPair);
-                    let text = with_causes(&error);
+                    let text = error.with_causes();
                     if self.complaint.is_none() {
                         tracing::warn!("{text}");
                     }
@@ -271,15 +271,4 @@ fn write_all(
         // After the end of the recording nobody uses the slot.
         let _ = give_empty.try_send(slot);
     }
-}
-
-/// An error with its causes, in one line.
-fn with_causes(error: &CameraError) -> String {
-    let mut text = error.to_string();
-    let mut cause = std::error::Error::source(error);
-    while let Some(error) = cause {
-        text = format!("{text}: {error}");
-        cause = error.source();
-    }
-    text
 }
