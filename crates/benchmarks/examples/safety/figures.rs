@@ -112,7 +112,7 @@ impl Figures {
             let (mut range, mut speed, mut acceleration) = (0.0f64, 0.0f64, 0.0f64);
             for (index, step) in truth.steps.iter().enumerate() {
                 let now = &step.arms[arm];
-                let is_free = !now.obeys() || !now.servo_on || now.brakes_closed;
+                let is_free = !now.obeys() || !now.servo_on || now.brakes_closed || now.stops_by_itself;
                 if now.command_age_s > fades_after_s || is_free {
                     late_s = step.t_s;
                 }
