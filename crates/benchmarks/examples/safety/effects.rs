@@ -35,14 +35,20 @@ impl Became {
     }
 }
 
+/// Name in tables of the time in which the arms are being enabled: the supervisor does not run yet.
+pub const ENABLING: &str = "enabling";
+
 /// The state of the supervisor in which each fault began; none if it did not begin.
-pub fn states(times: &[Happened], truth: &Truth) -> Vec<Option<&'static str>> {
-    let state = |times: &Happened| {
+pub fn states(faults: &[Fault], times: &[Happened], truth: &Truth) -> Vec<Option<&'static str>> {
+    let state = |(fault, times): (&Fault, &Happened)| {
         let from_s = times.from_s?;
+        if fault.is_of_enabling() {
+            return Some(ENABLING);
+        }
         // The step in which it begins may already show its effect.
         truth.steps.iter().take_while(|step| step.t_s < from_s).last().or(truth.steps.first()).map(|step| step.state)
     };
-    times.iter().map(state).collect()
+    faults.iter().zip(times).map(state).collect()
 }
 
 /// Outcomes of all faults.
@@ -57,7 +63,10 @@ pub fn all(scenario: &Scenario, times: &[Happened], recording: &Recorder) -> Vec
                 return Became::NoEffect;
             }
             let within = fault.from_s.min(from_s) - 1e-3..until_s + NOTICED_S;
-            let is_noticed = recording.noticed_s.iter().any(|t_s| within.contains(t_s));
+            let is_noticed = match fault.is_of_enabling() {
+                true => recording.noticed_enabling,
+                false => recording.noticed_s.iter().any(|t_s| within.contains(t_s)),
+            };
             if is_noticed { Became::Noticed } else { Became::Borne }
         })
         .collect()
@@ -72,6 +81,7 @@ fn met(fault: &Fault, (from_s, until_s): (f64, f64), scenario: &Scenario, truth:
             .any(|(index, truth)| truth.servo_on && arm.is_none_or(|arm| arm == index))
     };
     match &fault.kind {
+        _ if fault.is_of_enabling() => Some(true),
         Kind::Overrun(_) | Kind::ClockJump(_) => Some(is_on(None)),
         Kind::EmergencyStopOfBoth | Kind::Unplugged(_) | Kind::Arm { .. } => Some(is_on(fault.kind.arm())),
         Kind::GatewayRestart(_) => Some(is_on(fault.kind.arm())),

@@ -180,6 +180,23 @@ impl Kind {
         }
     }
 
+    /// Draws a fault for the time in which the arms are being enabled: one of an arm, a line or a gateway.
+    pub fn draw_enabling(dice: &mut Dice) -> Self {
+        match dice.below(OF_ARMS.len() + 4) {
+            0 => Self::EmergencyStopOfBoth,
+            1 => Self::Unplugged(dice.below(2)),
+            2 => Self::GatewayRestart(dice.below(2)),
+            3 => Self::Overrun(dice.within(0.005, 0.3)),
+            other => Self::draw_of_an_arm(other - 4, dice),
+        }
+    }
+
+    fn draw_of_an_arm(index: usize, dice: &mut Dice) -> Self {
+        let (name, lines) = OF_ARMS[index];
+        let (line, end) = lines(dice);
+        Self::Arm { arm: dice.below(2), name, line, end }
+    }
+
     /// Draws one of the kinds of the first draw.
     pub fn draw(dice: &mut Dice) -> Self {
         match dice.below(FIRST_OF_THE_CELL + OF_ARMS.len()) {
@@ -203,11 +220,7 @@ impl Kind {
             17 => Self::OperatorCommand(dice.pick(&OperatorCommand::ALL), 0.0),
             18 => Self::OperatorCommand(dice.pick(&OperatorCommand::ALL), dice.within(0.05, 2.0)),
             19 => Self::Silence,
-            other => {
-                let (name, lines) = OF_ARMS[other - FIRST_OF_THE_CELL];
-                let (line, end) = lines(dice);
-                Self::Arm { arm: dice.below(2), name, line, end }
-            }
+            other => Self::draw_of_an_arm(other - FIRST_OF_THE_CELL, dice),
         }
     }
 
@@ -412,6 +425,11 @@ impl Fault {
     /// Name in tables.
     pub fn name(&self) -> &'static str {
         self.stall.unwrap_or_else(|| self.kind.name())
+    }
+
+    /// Whether it begins while the arms are being enabled.
+    pub fn is_of_enabling(&self) -> bool {
+        self.from_s < 0.0
     }
 
     /// End of the fault, seconds.

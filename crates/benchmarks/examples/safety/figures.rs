@@ -7,6 +7,7 @@ use system_tests::safety::truth::{ARM_NAMES, HAND_ARM, Step, Truth};
 
 use crate::Judged;
 use crate::effects::Became;
+use crate::scenario::Draw;
 
 /// Counts of one kind of fault.
 #[derive(Clone, Copy, Debug, Default)]
@@ -45,7 +46,7 @@ pub struct Figures {
     /// Number of runs.
     pub runs: u64,
     /// Violations: invariant, and the runs that violated it.
-    pub violations: BTreeMap<String, Vec<u64>>,
+    pub violations: BTreeMap<String, Vec<(u64, Draw)>>,
     /// By kind of fault.
     pub faults: BTreeMap<&'static str, Count>,
     /// By kind of fault, and by the state of the supervisor in which it began: number with an effect, and number of these noticed.
@@ -79,7 +80,7 @@ impl Figures {
         self.searches.1 += searched_s(&ran.truth, rules);
         for violation in violations {
             let seeds = self.violations.entry(violation.invariant.name().to_owned()).or_default();
-            seeds.push(scenario.seed);
+            seeds.push((scenario.seed, scenario.draw));
             seeds.sort_unstable();
             seeds.dedup();
         }
@@ -158,7 +159,7 @@ fn searched_s(truth: &Truth, rules: &Rules) -> f64 {
 
 /// A cause without its numbers, so that equal causes are counted together.
 fn cause(text: &str) -> String {
-    let text = text.split(';').next().unwrap_or(text);
+    let text = text.split(';').next().unwrap_or(text).replace(" (pa10 at emulated in virtual time)", "");
     let text: String = text.chars().map(|c| if c.is_ascii_digit() { '#' } else { c }).collect();
     let mut short = String::new();
     for part in text.split('#').filter(|part| !part.is_empty() && *part != ".") {

@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result, ensure};
 
-use crate::scenario::Scenario;
+use crate::scenario::{Draw, Scenario};
 
 /// One seed per line, after the name of its draw: a later draw leaves the runs of an earlier one as they are.
 const SEEDS: &str = include_str!("kept_seeds.txt");
@@ -21,12 +21,8 @@ fn scenario(line: &str) -> Result<Scenario> {
     let (draw, seed) = (words.next().unwrap_or(""), words.next().context("no seed")?);
     let seed = seed.parse().context("a seed is a whole number")?;
     ensure!(words.next().is_some(), "say what this seed has found");
-    match draw {
-        "first" => Ok(Scenario::first(seed)),
-        "wide" => Ok(Scenario::wide(seed)),
-        "stalls" => Ok(Scenario::of(seed)),
-        _ => anyhow::bail!("the draw is `first`, `wide` or `stalls`"),
-    }
+    let draw = Draw::named(draw).context("the draw is `first`, `wide`, `stalls` or `starts`")?;
+    Ok(Scenario::of(draw, seed))
 }
 
 #[cfg(test)]

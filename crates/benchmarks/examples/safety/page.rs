@@ -1,6 +1,7 @@
 //! The page docs/benchmarks/safety.md.
 
 use std::fmt::Write as _;
+use std::iter;
 use std::path::Path;
 
 use anyhow::Context;
@@ -11,6 +12,7 @@ use pb3dp_safeguards::Safeguard;
 #[cfg(feature = "disabled-guards")]
 use system_tests::safety::invariants::Violation;
 
+use crate::effects::ENABLING;
 use crate::figures::{Count, Figures};
 #[cfg(feature = "disabled-guards")]
 use crate::proofs::Shown;
@@ -26,6 +28,8 @@ pub fn text(figures: &Figures, rendered: &Figures, seed: u64, origin: &str) -> S
 
 /// A part of the page.
 const HEADING: &str = "# Safety";
+/// The page lists this many reasons for which runs ended.
+const ENDS_MAX: usize = 40;
 /// Heading at which the part about safeguards begins; a separate build writes that part.
 const SAFEGUARDS: &str = "## Safeguards, each disabled";
 
@@ -70,11 +74,11 @@ fn write_safeguards(
         page,
         "| safeguard | function | disabled in both runs | violated without it | seed | with it |\n|---|---|---|---|---|---|"
     )?;
-    for Shown { guard, others, without, with, .. } in shown {
+    for Shown { guard, others, without, with, digests, .. } in shown {
         let names: Vec<_> = others.iter().map(|other| other.name()).collect();
         let (broken, seed) = match without {
             Some((seed, violations)) => (broken(violations), seed.to_string()),
-            None => ("NOTHING".to_owned(), String::new()),
+            None => (format!("NOTHING (digests {digests:x?})"), String::new()),
         };
         let with = match with {
             Some((seed, violations)) => format!("VIOLATED: {} (seed {seed})", self::broken(violations)),
@@ -107,7 +111,7 @@ fn write_violations(page: &mut String, figures: &Figures, rendered: bool) -> std
     }
     writeln!(page, "| invariant | runs | command for the first run |\n|---|---|---|")?;
     for (invariant, seeds) in &figures.violations {
-        let first = seeds.first().map_or_else(String::new, |seed| replay(*seed, rendered));
+        let first = seeds.first().map_or_else(String::new, |(seed, draw)| replay((*seed, *draw), rendered));
         writeln!(page, "| {invariant} | {} | `{first}` |", seeds.len())?;
     }
     writeln!(page)
@@ -130,23 +134,25 @@ fn write_rendered(page: &mut String, figures: &Figures) -> std::fmt::Result {
 
 /// Faults by the state in which they began, and what the runs have not covered.
 fn write_states(page: &mut String, figures: &Figures) -> std::fmt::Result {
-    let names = State::ALL.map(State::name);
+    let names: Vec<_> = iter::once(ENABLING).chain(State::ALL.map(State::name)).collect();
     writeln!(
         page,
         "\n## Faults by state\n\n\
-         Number of faults with an effect by the state of the supervisor in which they began, and the share of these that was noticed.\n"
+         Number of faults with an effect by the state of the supervisor in which they began, and the share of these that was noticed.\n\
+         \"{ENABLING}\" is the time before, in which both arms are being enabled; in a tenth of the runs a fault of an arm, a line or a gateway begins then; it counts as noticed if enabling is refused, or a counter rises.\n"
     )?;
     writeln!(page, "| fault | {} |\n|---|{}", names.join(" | "), "---|".repeat(names.len()))?;
     let mut missing = Vec::new();
     for name in figures.faults.keys() {
-        let counts = names.map(|state| figures.states.get(name).and_then(|states| states.get(state)).copied());
+        let counts = names.iter().map(|state| figures.states.get(name).and_then(|states| states.get(state)).copied());
+        let counts: Vec<_> = counts.collect();
         let cell = |count: &Option<[u64; 2]>| {
             count.map_or_else(String::new, |[seen, noticed]| {
                 format!("{seen}, {:.0} %", 100.0 * noticed as f64 / seen as f64)
             })
         };
         writeln!(page, "| {name} | {} |", counts.iter().map(cell).collect::<Vec<_>>().join(" | "))?;
-        let without = counts.iter().zip(names).filter(|(count, _)| count.is_none()).map(|(_, state)| state);
+        let without = counts.iter().zip(&names).filter(|(count, _)| count.is_none()).map(|(_, state)| *state);
         let without: Vec<_> = without.collect();
         if !without.is_empty() {
             missing.push(format!("* {name}: {}", without.join(", ")));
@@ -201,8 +207,13 @@ fn write(page: &mut String, figures: &Figures, rendered: &Figures, (seed, origin
     writeln!(page, "\n## How runs ended\n\n| reason, without its numbers | runs |\n|---|---|")?;
     let mut ends: Vec<_> = figures.ends.iter().collect();
     ends.sort_by_key(|(_, count)| std::cmp::Reverse(**count));
+    let rest = ends.split_off(ends.len().min(ENDS_MAX));
     for (why, count) in ends {
         writeln!(page, "| {} | {count} |", why.replace('|', "/"))?;
+    }
+    if !rest.is_empty() {
+        let runs: u64 = rest.iter().map(|(_, count)| *count).sum();
+        writeln!(page, "| {} others | {runs} |", rest.len())?;
     }
     writeln!(page, "\n## Margins\n")?;
     writeln!(

@@ -16,7 +16,7 @@ use pb3dp_sim::trajectory::MotionConfig;
 use system_tests::safety::invariants::{Invariant, Violation};
 
 use crate::faults::{Fault, Kind};
-use crate::scenario::{Dice, PROOF, Scenario};
+use crate::scenario::{Dice, Draw, PROOF, Scenario};
 use crate::workcell::{Setups, Workcell};
 use crate::{Args, Judged, judge, page, trace};
 
@@ -52,6 +52,8 @@ pub struct Shown {
     pub with: Option<(u64, Vec<Violation>)>,
     /// Total number of runs.
     pub runs: u64,
+    /// Hashes of the runs without the safeguard, to compare a proof that failed with one that did not.
+    pub digests: Vec<u64>,
 }
 
 impl Shown {
@@ -73,6 +75,7 @@ impl Proof {
         let workcell = Workcell::default();
         Scenario {
             seed,
+            draw: Draw::First,
             motion_name: PROOF,
             motion,
             carrier,
@@ -85,7 +88,8 @@ impl Proof {
     }
 
     fn show(&self, setups: &Setups, args: &Args) -> Result<Shown> {
-        let mut shown = Shown { guard: self.guard, others: self.others, without: None, with: None, runs: 0 };
+        let mut shown =
+            Shown { guard: self.guard, others: self.others, without: None, with: None, runs: 0, digests: Vec::new() };
         for seed in args.seed..args.seed + SEEDS {
             let judged = |off: &[Safeguard]| without(off, || judge(setups, self.scenario(seed), false));
             let found = |judged: Judged| (!judged.violations.is_empty()).then_some((seed, judged.violations));
@@ -103,6 +107,7 @@ impl Proof {
                 with.violations.iter().for_each(|violation| println!("with {}: {violation}", self.guard.name()));
             }
             shown.runs += 2;
+            shown.digests.push(without.digest);
             shown.with = shown.with.or(found(with));
             shown.without = found(without);
             if shown.without.is_some() {

@@ -94,8 +94,12 @@ pub struct Recorder {
     found: [bool; Condition::COUNT],
     /// Error counters of links and gateways at the last check; grows with each detected error.
     counted: u64,
+    /// And when a fault began before the control loop.
+    counted_before: Option<u64>,
     /// Times at which a fault was noticed, seconds.
     pub noticed_s: Vec<f64>,
+    /// A fault while the arms were being enabled was noticed: it was refused, or an error counter rose.
+    pub noticed_enabling: bool,
     /// Commands and conditions, for the trace of a run.
     pub notes: Vec<LogLine>,
 }
@@ -135,7 +139,9 @@ impl Recorder {
             ends_at: None,
             found: [false; Condition::COUNT],
             counted: 0,
+            counted_before: None,
             noticed_s: Vec::new(),
+            noticed_enabling: false,
             notes: Vec::new(),
             scenario,
         }
@@ -144,7 +150,9 @@ impl Recorder {
     /// Control steps begin now.
     pub fn begin_at(&mut self, begin: MonotonicTime) {
         (self.begin, self.next, self.stepped_at) = (Some(begin), begin, begin);
-        self.counted = self.count();
+        let counted = self.count();
+        self.noticed_enabling |= self.counted_before.is_some_and(|before| before != counted);
+        self.counted = counted;
     }
 
     /// Seconds since the run began.
@@ -192,6 +200,9 @@ impl Recorder {
         let kind = &self.scenario.faults[index].kind;
         let is_known = self.scenario.workcell.settings.wire_format == "B" || !kind.is_alarm();
         self.could_stop[index] = may_be_told && misses && is_known && is_on(HAND_ARM) && is_on(TARGET_ARM);
+        if self.begin.is_none() {
+            self.counted_before = Some(self.count());
+        }
         self.began_at[index] = Some(now);
         self.stepped_before[index] = self.stepped_at;
     }
@@ -373,6 +384,13 @@ impl Recorder {
         self.note(now, format!("{why:#}"));
         self.permission.latched();
         (self.has_failed, self.stopped_at) = (true, Some(now));
+    }
+
+    /// Enabling, which began at this time, has failed: the record begins with it, and nobody may move an arm.
+    pub fn not_enabled(&mut self, since: MonotonicTime, why: &anyhow::Error, now: MonotonicTime) {
+        self.begin_at(since);
+        self.failed(why, now);
+        self.noticed_enabling = true;
     }
 
     /// The control loop has ended: both arms are stopped since the last control step.

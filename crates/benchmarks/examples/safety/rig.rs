@@ -58,17 +58,17 @@ pub struct Ran {
     pub became: Vec<Became>,
     /// State of the supervisor in which each fault began.
     pub states: Vec<Option<&'static str>>,
-    /// Start of the control loop after that of the camera, seconds.
-    pub lead_s: f64,
+    /// Start of the control loop after that of the camera, seconds; none if a fault may have delayed it.
+    pub lead_s: Option<f64>,
     /// Commands, conditions and latches, for a trace.
     pub notes: Vec<LogLine>,
 }
 
 /// The setup of a scenario.
-fn setup_of(base: &Setup, scenario: &Scenario) -> Setup {
+fn setup_of(base: &Setup, scenario: &Scenario) -> Result<Setup> {
     let mut setup = base.clone();
     setup.reseed(scenario.seed);
-    scenario.workcell.apply(&mut setup);
+    scenario.workcell.apply(&mut setup)?;
     setup.experiment.motion = scenario.motion.clone();
     setup.experiment.carrier = scenario.carrier;
     if let Some(world) = setup.world.as_mut() {
@@ -78,7 +78,7 @@ fn setup_of(base: &Setup, scenario: &Scenario) -> Setup {
         setup.controller.search = Some(SEARCH);
         setup.supervisor.search_max_s = SEARCH_MAX_S;
     }
-    setup
+    Ok(setup)
 }
 
 /// Runs a scenario.
@@ -86,7 +86,7 @@ fn setup_of(base: &Setup, scenario: &Scenario) -> Setup {
 /// # Errors
 /// If it cannot be built: no run of this simulation is refused.
 pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
-    let setup = setup_of(base, scenario);
+    let setup = setup_of(base, scenario)?;
     let Wired { parts, monitors, virtual_ends } = wire_cell(&setup, |cell, start| {
         let motion = scenario.motion.begin_at(start)?;
         if scenario.carrier == Carrier::Nothing {
@@ -139,13 +139,14 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
         ends,
         begin: now,
         interrupt: &interrupt,
-        begun_s: vec![None; scenario.faults.len()],
+        wired: now,
+        begun_at: vec![None; scenario.faults.len()],
         ended: vec![false; scenario.faults.len()],
     };
     let duration = Duration::from_secs_f64(scenario.run_s);
     let course = Course { setup: &setup, clock: &clock, duration, interrupt: &interrupt };
     let outcome = tracing::subscriber::with_default(log.clone(), || course.run_in_lockstep(&mut watching, &mut faulty));
-    let lead_s = watching.begin.seconds_since(watching.wired);
+    let lead_s = (!scenario.disturbs_enabling()).then(|| watching.begin.seconds_since(watching.wired));
     let ended = outcome.err().map(|error| format!("{error:#}"));
     if let Some(ended) = &ended {
         // The program prints the failure that ends it.
@@ -158,7 +159,7 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
 /// Observes both arms for a while, and collects what was noticed.
 fn afterwards(
     scenario: &Scenario,
-    (lead_s, log): (f64, Vec<LogLine>),
+    (lead_s, log): (Option<f64>, Vec<LogLine>),
     (clock, recorder): (&Arc<dyn Clock>, &Shared),
     ended: Option<String>,
 ) -> Ran {
@@ -176,7 +177,7 @@ fn afterwards(
     let faults = Faults { faults: &scenario.faults, times: &times, resets_s: &resets_s };
     recording.truth.injected = faults.to_be_told(&recording.truth);
     let became = effects::all(scenario, &times, &recording);
-    let states = effects::states(&times, &recording.truth);
+    let states = effects::states(&scenario.faults, &times, &recording.truth);
     let notes = std::mem::take(&mut recording.notes);
     Ran { truth: std::mem::take(&mut recording.truth), ended, became, states, lead_s, notes }
 }
@@ -357,8 +358,10 @@ struct Faulty<'a> {
     /// Ends the control loop.
     interrupt: &'a AtomicBool,
     begin: MonotonicTime,
-    /// When each fault actually began, seconds: while the arms are being enabled the control loop waits.
-    begun_s: Vec<Option<f64>>,
+    /// When the cell was wired; the arms are being enabled until `begin`.
+    wired: MonotonicTime,
+    /// When each fault actually began: while the arms are being enabled the control loop waits.
+    begun_at: Vec<Option<MonotonicTime>>,
     ended: Vec<bool>,
 }
 
@@ -366,7 +369,14 @@ impl Mover for Faulty<'_> {
     type Step = Moved;
 
     fn enable(&mut self) -> Result<bool> {
-        self.inner.enable()
+        let now = self.clock.now();
+        self.begin_and_end_faults(now, now.seconds_since(self.wired) - cameras::LEAD_S)?;
+        let enabled = self.inner.enable();
+        if let Err(why) = &enabled {
+            // The control loop does not begin: the record begins with the enabling.
+            lock(&self.recorder).not_enabled(self.wired, why, self.clock.now());
+        }
+        enabled
     }
 
     fn begin_at(&mut self, begin: MonotonicTime) {
@@ -380,21 +390,7 @@ impl Mover for Faulty<'_> {
     }
 
     fn step(&mut self, now: MonotonicTime) -> Result<Moved> {
-        let t_s = now.seconds_since(self.begin);
-        for index in 0..self.scenario.faults.len() {
-            let fault = &self.scenario.faults[index];
-            if self.begun_s[index].is_none() && t_s >= fault.from_s {
-                self.begun_s[index] = Some(t_s);
-                lock(&self.recorder).began(index, self.clock.now());
-                self.begin_fault(fault)?;
-            }
-            let is_over = self.begun_s[index].is_some_and(|begun_s| t_s >= begun_s + fault.for_s);
-            if is_over && !self.ended[index] {
-                self.ended[index] = true;
-                self.end_fault(fault)?;
-                lock(&self.recorder).ceased(index, self.clock.now());
-            }
-        }
+        self.begin_and_end_faults(now, now.seconds_since(self.begin))?;
         let shown = self.shown(now);
         lock(&self.recorder).stepping([now, shown], self.clock.now());
         let stepped = self.inner.step(shown);
@@ -410,6 +406,24 @@ impl Mover for Faulty<'_> {
 }
 
 impl Faulty<'_> {
+    fn begin_and_end_faults(&mut self, now: MonotonicTime, t_s: f64) -> Result<()> {
+        for index in 0..self.scenario.faults.len() {
+            let fault = &self.scenario.faults[index];
+            if self.begun_at[index].is_none() && t_s >= fault.from_s {
+                self.begun_at[index] = Some(now);
+                lock(&self.recorder).began(index, self.clock.now());
+                self.begin_fault(fault)?;
+            }
+            let is_over = self.begun_at[index].is_some_and(|begun| now.seconds_since(begun) >= fault.for_s);
+            if is_over && !self.ended[index] {
+                self.ended[index] = true;
+                self.end_fault(fault)?;
+                lock(&self.recorder).ceased(index, self.clock.now());
+            }
+        }
+        Ok(())
+    }
+
     fn on(&self, t_s: f64) -> impl Iterator<Item = &Fault> {
         self.scenario.faults.iter().filter(move |fault| fault.is_on(t_s))
     }

@@ -7,13 +7,13 @@ use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig, S
 use crate::cameras;
 use crate::faults::{Fault, Kind};
 use crate::stalls;
-use crate::workcell::Workcell;
+use crate::workcell::{Start, Workcell};
 
 /// Length of a run, virtual seconds.
 pub const RUN_S: f64 = 20.0;
 /// The hand has reached its pose by then if no fault occurs, seconds.
 const LEAD_IN_S: f64 = 2.0;
-/// No fault occurs before, seconds: a fault while the arms are being enabled keeps them disabled; other tests show it.
+/// No other fault than that of the enabling occurs before, seconds.
 const FIRST_FAULT_S: f64 = 0.5;
 /// The last fault occurs this long before the end, seconds, so that its consequences are recorded.
 const LAST_FAULT_S: f64 = 3.0;
@@ -40,6 +40,13 @@ const STALL_DICE: u64 = 0x57a1_1000_0000_0000;
 const STALLS: f64 = 0.5;
 /// Most stalls of a run.
 const STALLS_MAX: usize = 3;
+
+/// Draws of the starts.
+const START_DICE: u64 = 0x57a2_7000_0000_0000;
+/// Share of the runs in which both arms start elsewhere.
+const ELSEWHERE: f64 = 0.5;
+/// Share of the runs with a fault while the arms are being enabled.
+const ENABLING: f64 = 0.1;
 
 /// Name of the motion of a run that proves a safeguard.
 pub const PROOF: &str = "proof";
@@ -83,11 +90,43 @@ impl Dice {
     }
 }
 
+/// How a scenario is drawn. A later draw leaves the scenarios of an earlier one as they are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Draw {
+    /// The workcell of `configs/hil.toml`, exactly known.
+    First,
+    /// That of the first draw in another workcell, with further faults.
+    Wide,
+    /// That of the wide draw, in half of the runs with stalls.
+    Stalls,
+    /// That with stalls, in half of the runs from other joint angles, and in a tenth with a fault while the arms are being enabled.
+    Starts,
+}
+
+impl Draw {
+    /// The draw with this name.
+    pub fn named(name: &str) -> Option<Self> {
+        [Self::First, Self::Wide, Self::Stalls, Self::Starts].into_iter().find(|draw| draw.name() == name)
+    }
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::First => "first",
+            Self::Wide => "wide",
+            Self::Stalls => "stalls",
+            Self::Starts => "starts",
+        }
+    }
+}
+
 /// The scenario of one run.
 #[derive(Clone, Debug)]
 pub struct Scenario {
     /// Its seed.
     pub seed: u64,
+    /// How it was drawn.
+    pub draw: Draw,
     /// Name of the motion, for tables.
     pub motion_name: &'static str,
     /// Motion of the target.
@@ -107,39 +146,65 @@ pub struct Scenario {
 }
 
 impl Scenario {
-    /// The scenario of this seed: that of the wide draw, in half of the runs with stalls.
-    pub fn of(seed: u64) -> Self {
-        let mut scenario = Self::wide(seed);
-        let mut dice = Dice::new(seed ^ STALL_DICE);
+    /// The scenario of this seed.
+    pub fn of(draw: Draw, seed: u64) -> Self {
+        let mut scenario = Self::first(seed);
+        scenario.draw = draw;
+        if draw >= Draw::Wide {
+            scenario.widen(&mut Dice::new(seed ^ WIDE_DICE));
+        }
+        if draw >= Draw::Stalls {
+            scenario.stall(&mut Dice::new(seed ^ STALL_DICE));
+        }
+        if draw >= Draw::Starts {
+            scenario.start(&mut Dice::new(seed ^ START_DICE));
+        }
+        scenario
+    }
+
+    fn widen(&mut self, dice: &mut Dice) {
+        self.workcell = Workcell::draw(dice);
+        if dice.unit() < MORE {
+            let from_s = dice.within(FIRST_FAULT_S, RUN_S - LAST_FAULT_S);
+            self.faults.push(Fault::new(Kind::draw_wide(dice), from_s, dice.within(0.1, 3.0)));
+        }
+        if dice.unit() < AT_ONCE {
+            let (first, second) = (dice.below(self.faults.len()), dice.below(self.faults.len()));
+            self.faults[second].from_s = self.faults[first].from_s + dice.within(0.0, AT_ONCE_S);
+        }
+        self.sort_faults();
+    }
+
+    fn stall(&mut self, dice: &mut Dice) {
         if dice.unit() < STALLS {
             for _ in 0..=dice.below(STALLS_MAX) {
                 let from_s = dice.within(FIRST_FAULT_S, RUN_S - LAST_FAULT_S);
-                scenario.faults.extend(stalls::draw(&mut dice, from_s));
+                self.faults.extend(stalls::draw(dice, from_s));
             }
         }
-        scenario.faults.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
-        scenario
+        self.sort_faults();
     }
 
-    /// The scenario of this seed in the wide draw: that of the first draw in another workcell, with further faults.
-    pub fn wide(seed: u64) -> Self {
-        let mut scenario = Self::first(seed);
-        let mut dice = Dice::new(seed ^ WIDE_DICE);
-        scenario.workcell = Workcell::draw(&mut dice);
-        if dice.unit() < MORE {
-            let from_s = dice.within(FIRST_FAULT_S, RUN_S - LAST_FAULT_S);
-            scenario.faults.push(Fault::new(Kind::draw_wide(&mut dice), from_s, dice.within(0.1, 3.0)));
+    fn start(&mut self, dice: &mut Dice) {
+        if dice.unit() < ELSEWHERE {
+            self.workcell.start = Some(Start::draw(dice));
         }
-        if dice.unit() < AT_ONCE {
-            let (first, second) = (dice.below(scenario.faults.len()), dice.below(scenario.faults.len()));
-            scenario.faults[second].from_s = scenario.faults[first].from_s + dice.within(0.0, AT_ONCE_S);
+        if dice.unit() < ENABLING {
+            let from_s = dice.within(-cameras::LEAD_S, 0.0);
+            self.faults.insert(0, Fault::new(Kind::draw_enabling(dice), from_s, dice.within(0.01, 1.0)));
         }
-        scenario.faults.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
-        scenario
     }
 
-    /// The scenario of this seed in the first draw: the workcell of `configs/hil.toml`, exactly known.
-    pub fn first(seed: u64) -> Self {
+    fn sort_faults(&mut self) {
+        self.faults.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
+    }
+
+    /// Whether a fault begins while the arms are being enabled.
+    pub fn disturbs_enabling(&self) -> bool {
+        self.faults.iter().any(Fault::is_of_enabling)
+    }
+
+    fn first(seed: u64) -> Self {
         let mut dice = Dice::new(seed);
         let (motion_name, motion, carrier) = motion(&mut dice);
         let count = 1 + dice.below(5);
@@ -159,10 +224,14 @@ impl Scenario {
                 fault.kind = Kind::Camera(cameras::draw(&mut other));
             }
         }
-        faults.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
         let has_person = dice.unit() < 0.5;
         let workcell = Workcell::default();
-        Self { seed, motion_name, motion, carrier, faults, run_s: RUN_S, has_person, searches, workcell }
+        let draw = Draw::First;
+        let run_s = RUN_S;
+        let mut scenario =
+            Self { seed, draw, motion_name, motion, carrier, faults, run_s, has_person, searches, workcell };
+        scenario.sort_faults();
+        scenario
     }
 }
 
@@ -235,21 +304,24 @@ mod tests {
 
     #[test]
     fn a_seed_is_a_run_and_all_kinds_come() {
-        let text = |seed| format!("{:?}", Scenario::of(seed));
+        let newest = |seed| Scenario::of(Draw::Starts, seed);
+        let text = |seed| format!("{:?}", newest(seed));
         assert_eq!(text(7), text(7));
         assert_ne!(text(7), text(8));
-        let first = Scenario::first(7);
+        let first = Scenario::of(Draw::First, 7);
         assert!(first.workcell.lag == [1.0; 2] && first.faults.len() <= 5, "the first draw is without change");
-        let runs: Vec<_> = (0..2000).map(Scenario::of).collect();
+        let runs: Vec<_> = (0..2000).map(newest).collect();
         let kinds: BTreeSet<&str> = runs.iter().flat_map(|run| &run.faults).map(Fault::name).collect();
         assert_eq!(kinds.len(), Kind::COUNT + cameras::COUNT + stalls::NAMES.len(), "{kinds:?}");
+        assert!((900..1100).contains(&runs.iter().filter(|run| run.workcell.start.is_some()).count()));
+        assert!((150..250).contains(&runs.iter().filter(|run| run.disturbs_enabling()).count()));
         assert!((400..600).contains(&runs.iter().filter(|run| run.searches).count()));
         let motions: BTreeSet<&str> = runs.iter().map(|run| run.motion_name).collect();
         assert_eq!(motions.len(), 6);
-        for run in &runs {
+        for run in runs.iter().map(|run| Scenario::of(Draw::Stalls, run.seed)) {
             let (stalls, others): (Vec<_>, Vec<_>) = run.faults.iter().partition(|fault| fault.stall.is_some());
             assert!(stalls.len() <= 2 * STALLS_MAX && (1..=6).contains(&others.len()));
-            let wide = Scenario::wide(run.seed).faults;
+            let wide = Scenario::of(Draw::Wide, run.seed).faults;
             assert_eq!(format!("{others:?}"), format!("{wide:?}"), "the wide draw is without change");
             assert!(run.faults.iter().all(|fault| fault.from_s >= FIRST_FAULT_S && fault.from_s < RUN_S));
         }

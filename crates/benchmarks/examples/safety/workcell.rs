@@ -5,9 +5,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use anyhow::{Context, Result};
+use pb3dp_hal_middleware::StartPose;
+use pb3dp_kinematics::{Damping, JointVector, reach};
 use pb3dp_servo::LawConfig;
 use pb3dp_setup::layers::SetupArgs;
-use pb3dp_setup::setup::{Leader, Pace, Setup, read_layers};
+use pb3dp_setup::setup::{ArmSetup, Leader, Pace, Setup, read_layers};
 use system_tests::repository;
 use system_tests::safety::rules::Rules;
 
@@ -29,6 +31,61 @@ pub struct Settings {
     pub speed_percent: u32,
 }
 
+/// Where both arms start: the target arm with other joint angles, the hand in front of the target as before.
+#[derive(Clone, Debug)]
+pub struct Start {
+    /// Differences of the joint angles of the target arm, radians.
+    target_by_rad: JointVector,
+    /// The third axis of the hand's arm starts near its angle plus this, radians: another elbow.
+    elbow_by_rad: f64,
+}
+
+impl Start {
+    /// Draws a start: joints up to 9 degrees elsewhere, 100 mm and 20 degrees at the target.
+    pub fn draw(dice: &mut Dice) -> Self {
+        const TURN_RAD: f64 = 0.15;
+        const ELBOW_RAD: f64 = 0.3;
+        let target_by_rad = JointVector::from_fn(|_, _| dice.within(-TURN_RAD, TURN_RAD));
+        Self { target_by_rad, elbow_by_rad: dice.within(-ELBOW_RAD, ELBOW_RAD) }
+    }
+
+    /// Changes the start of both arms of a setup. A start that is out of reach, or near the end of a joint's range, comes nearer
+    /// to that of the setup.
+    ///
+    /// # Errors
+    /// If the hand cannot reach its pose in front of the target even near that start.
+    fn apply(&self, setup: &mut Setup) -> Result<()> {
+        const SHARES: [f64; 4] = [1.0, 0.7, 0.4, 0.1];
+        let starts = SHARES.map(|share| self.joints_rad(setup, share));
+        let starts = starts.into_iter().flatten().next().context("no start of the arms is within reach")?;
+        for (arm, start_rad) in [&mut setup.rig.arms.vs, &mut setup.rig.arms.tc].into_iter().zip(starts) {
+            arm.start_rad = start_rad;
+            if let StartPose::Near { position_rad, .. } = &mut arm.limiter.start {
+                *position_rad = start_rad;
+            }
+        }
+        Ok(())
+    }
+
+    /// Start of both arms at a share of the drawn differences, radians; none if out of reach, or near the end of a range.
+    fn joints_rad(&self, setup: &Setup, share: f64) -> Option<[JointVector; 2]> {
+        /// Smallest distance from the end of an operating range.
+        const ROOM_RAD: f64 = 0.15;
+        let damping = Damping::new(setup.controller.damping.threshold, setup.controller.damping.factor_max).ok()?;
+        let (vs, tc) = (&setup.rig.arms.vs, &setup.rig.arms.tc);
+        let target_rad = tc.start_rad + self.target_by_rad * share;
+        let world_from_flange = |joints_rad: &JointVector| tc.world_from_base * tc.chain.forward(joints_rad);
+        let world_from_hand = vs.world_from_base * vs.chain.forward(&vs.start_rad);
+        let target_from_hand = world_from_flange(&tc.start_rad).inverse() * world_from_hand;
+        let base_from_hand = vs.world_from_base.inverse() * world_from_flange(&target_rad) * target_from_hand;
+        let mut near_rad = vs.start_rad;
+        near_rad[2] += self.elbow_by_rad * share;
+        let hand_rad = reach(&vs.chain, &near_rad, &base_from_hand, &damping).ok()?;
+        let has_room = |arm: &ArmSetup, joints_rad| arm.limits.operating().margin_rad(joints_rad).min() > ROOM_RAD;
+        (has_room(vs, &hand_rad) && has_room(tc, &target_rad)).then_some([hand_rad, target_rad])
+    }
+}
+
 /// The workcell of a run.
 #[derive(Clone, Debug)]
 pub struct Workcell {
@@ -38,13 +95,15 @@ pub struct Workcell {
     pub lag: [f64; 2],
     /// Delay of the arm in the model of the controller, as a share of the true one.
     pub model_delay: f64,
+    /// Where the arms start, if not as in `configs/sim.toml`.
+    pub start: Option<Start>,
 }
 
 impl Default for Workcell {
     /// The workcell of `configs/hil.toml`, exactly known.
     fn default() -> Self {
         let settings = Settings { wire_format: "B", dialect: "gateway-v1", speed_percent: 60 };
-        Self { settings, lag: [1.0; 2], model_delay: 1.0 }
+        Self { settings, lag: [1.0; 2], model_delay: 1.0, start: None }
     }
 }
 
@@ -62,7 +121,7 @@ impl Workcell {
         let mut factor = || FACTOR.powf(dice.within(-1.0, 1.0));
         let factors = [factor(), factor(), factor()];
         let [first, second, model_delay] = if is_known { [1.0; 3] } else { factors };
-        Self { settings, lag: [first, second], model_delay }
+        Self { settings, lag: [first, second], model_delay, start: None }
     }
 
     /// The limits that hold in this workcell.
@@ -76,14 +135,18 @@ impl Workcell {
         rules
     }
 
-    /// Changes the drives of a setup, and its model of them.
-    pub fn apply(&self, setup: &mut Setup) {
+    /// Changes the drives of a setup, its model of them, and the start of the arms.
+    ///
+    /// # Errors
+    /// If the hand cannot start there.
+    pub fn apply(&self, setup: &mut Setup) -> Result<()> {
         for (arm, lag) in [&mut setup.rig.arms.vs, &mut setup.rig.arms.tc].into_iter().zip(self.lag) {
             arm.plant.velocity_time_constant = arm.plant.velocity_time_constant.mul_f64(lag);
         }
         if let LawConfig::FeedForward(law) = &mut setup.controller.law {
             law.arm.delay_s *= self.model_delay;
         }
+        self.start.iter().try_for_each(|start| start.apply(setup))
     }
 }
 
