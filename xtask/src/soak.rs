@@ -12,6 +12,10 @@ const PAGE: &str = "docs/benchmarks/arm.md";
 /// stationary too late, or an arm stops without a reason.
 /// With --page both runs are made, with faults and with losses only, and the tables go to docs/benchmarks/arm.md, with commit and
 /// machine; commit first, and keep the machine idle.
+///
+/// With --kills N live runs are made instead: `pb3dp run` and two `pb3dp gateway` as processes, and one of the three is killed by
+/// SIGKILL while both arms move. Fails if an arm is stationary later than 0.5 s after it, a joint moves by more than 10 degrees, or
+/// a program that is started anew moves an arm. 50 take eight minutes.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Args {
@@ -27,12 +31,18 @@ pub struct Args {
     /// Also write the documentation page.
     #[arg(long)]
     page: bool,
+    /// Instead: so many live runs in which a process is killed.
+    #[arg(long, value_name = "N", conflicts_with_all = ["minutes", "losses_only", "page"])]
+    kills: Option<u32>,
 }
 
 /// # Errors
 /// If a number is out of range, the program does not build, or a fault is not detected.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     let (minutes, seed) = (args.minutes.to_string(), args.seed.to_string());
+    if let Some(runs) = args.kills {
+        return kills(workspace, runs, &seed);
+    }
     let mut command = workspace.cargo();
     command.args(["run", "--release", "--locked", "--package", "system-tests", "--example", "soak", "--"]);
     command.args(["--minutes", &minutes, "--seed", &seed]);
@@ -42,5 +52,16 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     if args.page {
         command.args(["--page", PAGE, "--origin", &origin(workspace)]);
     }
+    run_visibly(&mut command)
+}
+
+/// Builds the program and runs the example `kills` with it.
+fn kills(workspace: &Workspace, runs: u32, seed: &str) -> anyhow::Result<()> {
+    let mut build = workspace.cargo();
+    run_visibly(build.args(["build", "--release", "--locked", "--package", "pb3dp-orchestrator"]))?;
+    let program = workspace.target_folder()?.join("release/pb3dp");
+    let mut command = workspace.cargo();
+    command.args(["run", "--release", "--locked", "--package", "system-tests", "--example", "kills", "--"]);
+    command.args(["--runs", &runs.to_string(), "--seed", seed, "--program"]).arg(program);
     run_visibly(&mut command)
 }
