@@ -28,6 +28,7 @@ mod required;
 mod rust_text;
 mod same_answers;
 mod scratch;
+mod seeded_bugs;
 mod soak;
 mod test;
 mod tidy;
@@ -68,6 +69,7 @@ enum Command {
     Recordings(recordings::Args),
     Python(python_package::Args),
     Mutants(mutants::Args),
+    SeededBugs(seeded_bugs::Args),
     SameAnswers(same_answers::Args),
     Package(package::Args),
     Reference(reference::Args),
@@ -92,6 +94,7 @@ fn run(cli: &Cli) -> anyhow::Result<()> {
         Command::Recordings(args) => recordings::run(&workspace, args),
         Command::Python(args) => python_package::run(&workspace, args),
         Command::Mutants(args) => mutants::run(&workspace, args),
+        Command::SeededBugs(args) => seeded_bugs::run(&workspace, args),
         Command::SameAnswers(args) => same_answers::run(&workspace, args),
         Command::Package(args) => package::run(&workspace, args),
         Command::Reference(args) => reference::run(&workspace, args),

@@ -24,9 +24,14 @@ impl Scratch {
     pub fn new(workspace: &Workspace, name: &str) -> anyhow::Result<Self> {
         let folder = workspace.target_folder()?.join("xtask").join(name);
         let scratch = Self { tree: folder.join("tree"), target: folder.join("target") };
-        let files: BTreeSet<PathBuf> = workspace.files()?.into_iter().map(PathBuf::from).collect();
+        let names = workspace.files()?.into_iter().chain(workspace.folder_links());
+        let files: BTreeSet<PathBuf> = names.map(PathBuf::from).collect();
         for file in &files {
             let (from, to) = (workspace.root().join(file), scratch.tree.join(file));
+            if let Ok(target) = fs::read_link(&from) {
+                copy_link(&target, &to)?;
+                continue;
+            }
             let wanted = fs::read(&from).with_context(|| format!("cannot read {}", from.display()))?;
             if fs::read(&to).is_ok_and(|there| there == wanted) {
                 continue;
@@ -39,6 +44,16 @@ impl Scratch {
         remove_others(&scratch.tree, Path::new(""), &files)?;
         Ok(scratch)
     }
+}
+
+/// Creates a symbolic link to this target, unless it is there.
+fn copy_link(target: &Path, to: &Path) -> anyhow::Result<()> {
+    if fs::read_link(to).is_ok_and(|there| there == target) {
+        return Ok(());
+    }
+    fs::create_dir_all(to.parent().context("a link lies in a folder")?)?;
+    fs::remove_file(to).ok();
+    std::os::unix::fs::symlink(target, to).with_context(|| format!("cannot link {}", to.display()))
 }
 
 /// Removes all files in the folder that are not among these files.

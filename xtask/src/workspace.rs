@@ -82,6 +82,16 @@ impl Workspace {
         Ok(files)
     }
 
+    /// The tracked symbolic links to folders, as paths inside the workspace. Without git there are none: [`Self::files`] follows them.
+    pub fn folder_links(&self) -> Vec<String> {
+        let listed = self.output_of("git", &["ls-files", "-z", "--cached"]).unwrap_or_default();
+        let is_link = |path: &&str| {
+            let path = self.root.join(path);
+            path.is_symlink() && path.is_dir()
+        };
+        listed.split('\0').filter(is_link).map(str::to_owned).collect()
+    }
+
     /// The text files among [`Self::files`] with one of these extensions.
     ///
     /// # Errors

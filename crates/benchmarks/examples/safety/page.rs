@@ -67,24 +67,27 @@ fn write_safeguards(
     writeln!(
         page,
         "{runs} runs of 7 virtual seconds in a test build that can disable safeguards; `pb3dp` is never built with this option.\n\
-         Each row compares two runs of the same seed that differ in one safeguard: with it all invariants hold, without it at least one is violated.\n\
+         Each row compares pairs of runs of the same seed that differ in one safeguard: with it all invariants hold, without it at least one is violated, in two seeds.\n\
          Other safeguards against the same hazard are disabled in both runs: each safeguard is sufficient alone.\n"
     )?;
     writeln!(
         page,
-        "| safeguard | function | disabled in both runs | violated without it | seed | with it |\n|---|---|---|---|---|---|"
+        "| safeguard | function | disabled in both runs | violated without it | seeds | with it |\n|---|---|---|---|---|---|"
     )?;
-    for Shown { guard, others, without, with, digests, .. } in shown {
+    for shown in shown {
+        let Shown { guard, others, without, with, digests, .. } = shown;
         let names: Vec<_> = others.iter().map(|other| other.name()).collect();
-        let (broken, seed) = match without {
-            Some((seed, violations)) => (broken(violations), seed.to_string()),
-            None => (format!("NOTHING (digests {digests:x?})"), String::new()),
+        let seeds: Vec<_> = without.iter().map(|(seed, _)| seed.to_string()).collect();
+        let broken = match without.first() {
+            Some((_, violations)) if shown.is_proof() => broken(violations),
+            _ => format!("TOO LITTLE (digests {digests:x?})"),
         };
         let with = match with {
             Some((seed, violations)) => format!("VIOLATED: {} (seed {seed})", self::broken(violations)),
             None => "all hold".to_owned(),
         };
-        writeln!(page, "| {} | {} | {} | {broken} | {seed} | {with} |", guard.name(), guard.what(), names.join(", "))?;
+        let (names, seeds) = (names.join(", "), seeds.join(", "));
+        writeln!(page, "| {} | {} | {names} | {broken} | {seeds} | {with} |", guard.name(), guard.what())?;
     }
     writeln!(
         page,
