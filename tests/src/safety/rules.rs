@@ -25,6 +25,8 @@ pub struct ArmRules {
     pub jerk_rad_per_s3: Joints,
     /// First-order lag of the drives, seconds.
     pub lag_s: f64,
+    /// Dry friction of the drives, rad/s: by so much a joint may be slower than commanded.
+    pub friction_rad_per_s: f64,
     /// From an event to the command at which the arm starts to brake, seconds.
     pub reaction_s: f64,
     /// From the loss of power to standstill, seconds, for a stationary joint.
@@ -130,6 +132,7 @@ impl Rules {
             acceleration_rad_per_s2: [2.0, 2.0, 2.0, 2.0, 5.0, 5.0, 5.0],
             jerk_rad_per_s3: [80.0, 80.0, 80.0, 80.0, 200.0, 200.0, 200.0],
             lag_s: 0.030,
+            friction_rad_per_s: 0.0,
             reaction_s: 0.030,
             power_off_s: 0.090,
         };

@@ -88,6 +88,7 @@ fn setup_of(base: &Setup, scenario: &Scenario) -> Result<Setup> {
 pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
     let setup = setup_of(base, scenario)?;
     let Wired { parts, monitors, virtual_ends } = wire_cell(&setup, |cell, start| {
+        scenario.workcell.change(cell)?;
         let motion = scenario.motion.begin_at(start)?;
         if scenario.carrier == Carrier::Nothing {
             cell.free_target = Some(FreeTarget::new(Arc::clone(&motion)));

@@ -7,7 +7,7 @@ use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig, S
 use crate::cameras;
 use crate::faults::{Fault, Kind};
 use crate::stalls;
-use crate::workcell::{Start, Workcell};
+use crate::workcell::{Differences, Start, Workcell};
 
 /// Length of a run, virtual seconds.
 pub const RUN_S: f64 = 20.0;
@@ -45,6 +45,8 @@ const STALLS_MAX: usize = 3;
 const START_DICE: u64 = 0x57a2_7000_0000_0000;
 /// Share of the runs in which both arms start elsewhere.
 const ELSEWHERE: f64 = 0.5;
+/// Share of the runs with friction, loads and a hand-eye error that the setup does not know.
+const DIFFERS: f64 = 0.5;
 /// Share of the runs with a fault while the arms are being enabled.
 const ENABLING: f64 = 0.1;
 
@@ -99,7 +101,8 @@ pub enum Draw {
     Wide,
     /// That of the wide draw, in half of the runs with stalls.
     Stalls,
-    /// That with stalls, in half of the runs from other joint angles, and in a tenth with a fault while the arms are being enabled.
+    /// That with stalls; in half of the runs from other joint angles, in half with friction, loads and a hand-eye error, and in a
+    /// tenth with a fault while the arms are being enabled.
     Starts,
 }
 
@@ -188,6 +191,9 @@ impl Scenario {
     fn start(&mut self, dice: &mut Dice) {
         if dice.unit() < ELSEWHERE {
             self.workcell.start = Some(Start::draw(dice));
+        }
+        if dice.unit() < DIFFERS {
+            self.workcell.differences = Some(Differences::draw(dice));
         }
         if dice.unit() < ENABLING {
             let from_s = dice.within(-cameras::LEAD_S, 0.0);

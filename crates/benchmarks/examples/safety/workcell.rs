@@ -1,15 +1,19 @@
 //! What differs between the workcells of the runs: wire format, dialect and speeds, and drives that differ from their model.
 
 use std::collections::BTreeMap;
+use std::f64::consts::PI;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use anyhow::{Context, Result};
+use nalgebra::Vector6;
+use pb3dp_cell::cell::SimulatedCell;
 use pb3dp_hal_middleware::StartPose;
 use pb3dp_kinematics::{Damping, JointVector, reach};
 use pb3dp_servo::LawConfig;
 use pb3dp_setup::layers::SetupArgs;
 use pb3dp_setup::setup::{ArmSetup, Leader, Pace, Setup, read_layers};
+use pb3dp_sim::joint_dynamics::JointMechanics;
 use system_tests::repository;
 use system_tests::safety::rules::Rules;
 
@@ -86,6 +90,49 @@ impl Start {
     }
 }
 
+/// How the arms differ from their description: friction of the drives, loads, and where the cameras really are.
+#[derive(Clone, Debug)]
+pub struct Differences {
+    /// Dry friction of the drives of each arm, rad/s.
+    friction_rad_per_s: [f64; 2],
+    /// Gravity on the joints of each arm that nothing holds, as a share of that of the model.
+    load: [f64; 2],
+    /// Error of the hand-eye calibration: metres and radians, in the frame of the left camera.
+    hand_eye: Vector6<f64>,
+}
+
+impl Differences {
+    /// Draws differences. The hand-eye error is up to what the gates of a calibration refuse (`configs/hand_eye_gates.toml`).
+    pub fn draw(dice: &mut Dice) -> Self {
+        const FRICTION_RAD_PER_S: f64 = 0.002;
+        const LOAD: f64 = 2.0;
+        const HAND_EYE_M: f64 = 0.002;
+        const HAND_EYE_RAD: f64 = 0.3 * PI / 180.0;
+        let mut factor = |most: f64| most.powf(dice.within(-1.0, 1.0));
+        let load = [factor(LOAD), factor(LOAD)];
+        let friction_rad_per_s = [0, 1].map(|_| dice.within(0.0, FRICTION_RAD_PER_S));
+        let most = |axis: usize| if axis < 3 { HAND_EYE_M } else { HAND_EYE_RAD };
+        let hand_eye = Vector6::from_fn(|axis, _| dice.within(-1.0, 1.0) * most(axis) / f64::sqrt(3.0));
+        Self { friction_rad_per_s, load, hand_eye }
+    }
+
+    fn apply(&self, cell: &mut SimulatedCell) -> Result<()> {
+        cell.hand_from_cam_left = cell.hand_from_cam_left.perturbed_in_from(&self.hand_eye);
+        for (arm, site) in [&cell.vs, &cell.tc].into_iter().enumerate() {
+            let Some(plant) = site.joints.simulated() else { continue };
+            let model = JointMechanics::default();
+            let mechanics = JointMechanics {
+                servo_friction_rad_per_s: JointVector::repeat(self.friction_rad_per_s[arm]),
+                gravity_rad_per_s2: model.gravity_rad_per_s2 * self.load[arm],
+                ..model
+            };
+            let mut plant = plant.lock().unwrap_or_else(PoisonError::into_inner);
+            *plant = plant.clone().with_mechanics(mechanics)?;
+        }
+        Ok(())
+    }
+}
+
 /// The workcell of a run.
 #[derive(Clone, Debug)]
 pub struct Workcell {
@@ -97,13 +144,15 @@ pub struct Workcell {
     pub model_delay: f64,
     /// Where the arms start, if not as in `configs/sim.toml`.
     pub start: Option<Start>,
+    /// How the arms differ from their description, if they do.
+    pub differences: Option<Differences>,
 }
 
 impl Default for Workcell {
     /// The workcell of `configs/hil.toml`, exactly known.
     fn default() -> Self {
         let settings = Settings { wire_format: "B", dialect: "gateway-v1", speed_percent: 60 };
-        Self { settings, lag: [1.0; 2], model_delay: 1.0, start: None }
+        Self { settings, lag: [1.0; 2], model_delay: 1.0, start: None, differences: None }
     }
 }
 
@@ -121,15 +170,17 @@ impl Workcell {
         let mut factor = || FACTOR.powf(dice.within(-1.0, 1.0));
         let factors = [factor(), factor(), factor()];
         let [first, second, model_delay] = if is_known { [1.0; 3] } else { factors };
-        Self { settings, lag: [first, second], model_delay, start: None }
+        Self { settings, lag: [first, second], model_delay, start: None, differences: None }
     }
 
     /// The limits that hold in this workcell.
     pub fn rules(&self) -> Rules {
         let mut rules = Rules::of_the_rig();
         let speed = f64::from(self.settings.speed_percent) / 100.0 / SPEED_SCALE;
-        for (arm, lag) in rules.arms.iter_mut().zip(self.lag) {
+        let friction = self.differences.as_ref().map_or([0.0; 2], |differences| differences.friction_rad_per_s);
+        for ((arm, lag), friction) in rules.arms.iter_mut().zip(self.lag).zip(friction) {
             arm.lag_s *= lag;
+            arm.friction_rad_per_s = friction;
             arm.speed_rad_per_s = arm.speed_rad_per_s.map(|limit| limit * speed);
         }
         rules
@@ -147,6 +198,14 @@ impl Workcell {
             law.arm.delay_s *= self.model_delay;
         }
         self.start.iter().try_for_each(|start| start.apply(setup))
+    }
+
+    /// Changes the true cell, which was wired with this setup.
+    ///
+    /// # Errors
+    /// Never: the drawn values are possible ones.
+    pub fn change(&self, cell: &mut SimulatedCell) -> Result<()> {
+        self.differences.iter().try_for_each(|differences| differences.apply(cell))
     }
 }
 

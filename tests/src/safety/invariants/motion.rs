@@ -182,7 +182,9 @@ const CYCLE_STEPS: usize = 5;
 /// of two, and within the same limit.
 fn jerk(rules: &Rules, (arm, joint): (usize, usize), steps: &[Step], found: &mut Found) {
     let limits = &rules.arms[arm];
-    let limit = limits.jerk_rad_per_s3[joint] * JERK_SHARE * rules.cycle_s + JERK_MORE_RAD_PER_S / rules.cycle_s;
+    // Each of the four speeds of a second difference may be off by the friction.
+    let more_rad_per_s = JERK_MORE_RAD_PER_S + 4.0 * limits.friction_rad_per_s;
+    let limit = limits.jerk_rad_per_s3[joint] * JERK_SHARE * rules.cycle_s + more_rad_per_s / rules.cycle_s;
     let mut commanded = [0.0; 2 * CYCLE_STEPS + 1];
     let mut known = 0;
     for (index, pair) in steps.windows(2).enumerate() {
