@@ -131,10 +131,16 @@ def test_interleaved_views_are_the_channels_that_opencv_parts(tmp_path):
         ("BA81", cv2.COLOR_BayerBGGR2RGB),
     ],
 )
-def test_bayer_views_are_those_of_opencv_except_at_their_borders(tmp_path, format, code):
-    mosaic = noise(8, (HEIGHT, 2 * WIDTH))
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("crops", [(None, None), ((2, 4, 37, 21), (26, 20, 37, 21))])
+def test_bayer_views_are_those_of_opencv_except_at_their_borders(tmp_path, format, code, layout, crops):
+    across, down = LAYOUTS[layout]
+    mosaic = noise(8, (HEIGHT * down, WIDTH * across))
     data, stride = padded(mosaic)
-    images, _ = emulated(tmp_path, format, "side-by-side", data, stride)
-    for found, view in zip(images, (mosaic[:, :WIDTH], mosaic[:, WIDTH:]), strict=True):
+    images, _ = emulated(tmp_path, format, layout, data, stride, crops=crops)
+    origins = [(0, 0), (WIDTH * (across - 1), HEIGHT * (down - 1))]
+    for found, (left, top), crop in zip(images, origins, crops, strict=True):
+        x, y, width, height = crop or (0, 0, WIDTH, HEIGHT)
+        view = mosaic[top + y : top + y + height, left + x : left + x + width]
         expected = cv2.cvtColor(numpy.ascontiguousarray(view), code)
         compare(found[1:-1, 1:-1], expected[1:-1, 1:-1], format)

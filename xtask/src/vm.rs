@@ -44,6 +44,8 @@ const TRIES: u32 = 3;
 ///         skew, damaged and lost images, a camera that is unplugged, permissions
 /// rig     `pb3dp run` itself with configs/rig.toml, two cameras (vivid) and two emulated
 ///         arms at the far ends of serial cables (ftdi_sio): it tracks, a camera is unplugged, it holds and stops; `pb3dp cameras`
+/// rig-one-device
+///         the same with one camera (vivid, HDMI) whose images have both views side by side
 ///
 /// The time of the emulated computers is counted in instructions, so a busy machine takes longer but gets the same results. Suites run
 /// in parallel. All suites take a minute or two on an idle machine, after the build; the program itself (rig) takes longest.

@@ -4,7 +4,7 @@
 //! `cargo run --release -p pb3dp-benchmarks --example pixel_speed`
 //!
 //! Prints medians over many images for each format, for `YUYV` also with the scalar code, and for pairs beside a copy of the same bytes,
-//! measured in turns. Fails if `YUYV` exceeds the limit.
+//! measured in turns. Fails if `YUYV` or a Bayer pair exceeds its limit.
 
 #![allow(clippy::print_stdout, clippy::expect_used, reason = "a console program with its own images")]
 
@@ -25,6 +25,9 @@ const IMAGES: usize = 401;
 /// Limit for one `YUYV` image: half a per cent of the frame period.
 const YUYV_MILLIS_MAX: f64 = 0.15;
 
+/// Limit for a Bayer pair: 3 % of the frame period at 30 Hz. Code that compilers do not vectorise takes six times as long.
+const BAYER_MILLIS_MAX: f64 = 1.0;
+
 fn main() -> ExitCode {
     println!("| format | kernels | ms per image of 640x480 (median of {IMAGES}) |");
     println!("|---|---|---|");
@@ -41,14 +44,22 @@ fn main() -> ExitCode {
         "| format | layout | bytes of a pair | ms per pair | with the copy for a recording | copy of the bytes | ratio |"
     );
     println!("|---|---|---|---|---|---|---|");
+    let mut is_slow = false;
     for format in PixelFormat::ALL {
-        pair_row(format);
+        let pair = pair_row(format);
+        is_slow |=
+            matches!(format, PixelFormat::Bayer8(_)) && exceeds(&format!("a {format} pair"), pair, BAYER_MILLIS_MAX);
     }
-    if best > YUYV_MILLIS_MAX {
-        println!("YUYV is slower than the limit of {YUYV_MILLIS_MAX} ms");
-        return ExitCode::FAILURE;
+    is_slow |= exceeds("YUYV", best, YUYV_MILLIS_MAX);
+    if is_slow { ExitCode::FAILURE } else { ExitCode::SUCCESS }
+}
+
+/// Prints a time above its limit.
+fn exceeds(what: &str, millis: f64, millis_max: f64) -> bool {
+    if millis > millis_max {
+        println!("{what} takes {millis:.3} ms; the limit is {millis_max} ms");
     }
-    ExitCode::SUCCESS
+    millis > millis_max
 }
 
 fn median(mut times: Vec<f64>) -> f64 {
@@ -81,8 +92,8 @@ fn millis(format: PixelFormat, kernels: YuvKernels) -> f64 {
     median((0..IMAGES).map(convert).collect())
 }
 
-/// One device with both views of this format, beside a copy of its bytes.
-fn pair_row(format: PixelFormat) {
+/// One device with both views of this format, beside a copy of its bytes. Returns the time of a conversion, ms.
+fn pair_row(format: PixelFormat) -> f64 {
     let arrangement = match format {
         PixelFormat::Y8i => DeviceLayout::Interleaved,
         _ => DeviceLayout::OneImage(ImageLayout::SideBySide),
@@ -120,6 +131,7 @@ fn pair_row(format: PixelFormat) {
         bytes.len(),
         convert / copy
     );
+    convert
 }
 
 /// Bytes of an image with texture everywhere.

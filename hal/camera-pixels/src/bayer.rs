@@ -81,21 +81,22 @@ impl Demosaic {
     }
 }
 
-/// The same as [`pixel`] for all columns except the outermost, without a branch, so that compilers vectorise it.
+/// The same as [`pixel`] for all columns except the outermost, without a branch and without arrays of pixels: compilers vectorise it.
 fn inner_colours([above, row, below]: [&[u8]; 3], mask: &[u8], own: &mut [u8], green: &mut [u8], other: &mut [u8]) {
     let count = mask.len();
     let (own, green, other) = (&mut own[..count], &mut green[..count], &mut other[..count]);
-    let [a, r, b] = [above, row, below].map(|row| [&row[..count], &row[1..][..count], &row[2..][..count]]);
+    let (above_left, above, above_right) = (&above[..count], &above[1..][..count], &above[2..][..count]);
+    let (left, centre, right) = (&row[..count], &row[1..][..count], &row[2..][..count]);
+    let (below_left, below, below_right) = (&below[..count], &below[1..][..count], &below[2..][..count]);
     for column in 0..count {
-        let [above, row, below] = [a, r, b].map(|row| row.map(|row| u16::from(row[column])));
-        let beside = row[0] + row[2];
-        let upright = above[1] + below[1];
-        let corners = above[0] + above[2] + below[0] + below[2];
-        let select =
-            |if_colour: u16, else_green: u16| (if_colour as u8 & mask[column]) | (else_green as u8 & !mask[column]);
-        own[column] = select(row[1], (beside + 1) >> 1);
-        green[column] = select((beside + upright + 2) >> 2, row[1]);
-        other[column] = select((corners + 2) >> 2, (upright + 1) >> 1);
+        let beside = u16::from(left[column]) + u16::from(right[column]);
+        let upright = u16::from(above[column]) + u16::from(below[column]);
+        let corners_above = u16::from(above_left[column]) + u16::from(above_right[column]);
+        let corners = corners_above + u16::from(below_left[column]) + u16::from(below_right[column]);
+        let (centre, is_colour) = (centre[column], mask[column]);
+        own[column] = (centre & is_colour) | (((beside + 1) >> 1) as u8 & !is_colour);
+        green[column] = (((beside + upright + 2) >> 2) as u8 & is_colour) | (centre & !is_colour);
+        other[column] = (((corners + 2) >> 2) as u8 & is_colour) | (((upright + 1) >> 1) as u8 & !is_colour);
     }
 }
 

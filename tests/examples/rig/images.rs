@@ -8,28 +8,40 @@ use image::RgbImage;
 use pb3dp_camera_v4l2::linux::Linux;
 use pb3dp_camera_v4l2::names;
 
-use crate::outputs::Stream;
-use crate::setup::{LOOP, OSD, control, name};
+use crate::outputs::{Scan, Stream, set_hdmi};
+use crate::setup::{Devices, LOOP, OSD, control, name};
 use crate::system;
 
 /// Two devices with video input and output. Their inputs show a part of the output image without scaling.
-const VIVID: &str = "n_devs=2 node_types=0x101,0x101 ccs_cap_mode=1,1";
+const VIVID_TWO: &str = "n_devs=2 node_types=0x101,0x101 ccs_cap_mode=1,1";
+
+/// One such device, whose only input and only output are HDMI: images of television are too narrow for two views.
+const VIVID_ONE: &str =
+    "n_devs=1 node_types=0x101 ccs_cap_mode=1 num_inputs=1 input_types=3 num_outputs=1 output_types=1";
 
 /// Folder in which the kernel lists video devices.
 const NODES: &str = "/sys/class/video4linux";
 
-/// Format of an output by default: PAL, YUYV.
-const FRAME: (usize, usize) = (720, 576);
+/// Width and height of a frame of an output, YUYV: PAL by default, or the HDMI mode that [`prepare`] sets.
+const PAL: (usize, usize) = (720, 576);
+const HDMI: (usize, usize) = (1280, 720);
 
 /// The upper left corner shows the time and the number of each image (`vivid`'s menu "Counters Only"): no two images are the
-/// same, as with the noise of real cameras. The program takes a camera that delivers one image twice for frozen.
+/// same, as with the noise of real cameras. The program takes a camera that delivers one image twice for frozen. If both views are in
+/// one image, the right one has no counters: see [`Output::flicker`].
 const COUNTERS: i32 = 1;
 
-/// Creates both cameras; each shows the image of its output.
-pub fn prepare() -> Result<(), Box<dyn Error>> {
-    system::load("vivid", VIVID)?;
+/// Creates the cameras; each shows the image of its output.
+pub fn prepare(devices: Devices) -> Result<(), Box<dyn Error>> {
+    match devices {
+        Devices::Two => system::load("vivid", VIVID_TWO)?,
+        Devices::One => {
+            system::load("vivid", VIVID_ONE)?;
+            set_hdmi(&node("vivid-000-vid-cap")?, &node("vivid-000-vid-out")?)?;
+        }
+    }
     let (looping, text) = (control(LOOP)?, control(OSD)?);
-    for number in 0..2 {
+    for number in 0..devices.buses().len() {
         let (_, mut node) = names::open(&Linux, &name(number))?;
         node.set_control(looping, 1)?;
         node.set_control(text, COUNTERS)?;
@@ -37,39 +49,56 @@ pub fn prepare() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
+/// Path of the node with this name.
+fn node(wanted: &str) -> Result<PathBuf, Box<dyn Error>> {
+    for entry in fs::read_dir(NODES)? {
+        let folder = entry?.path();
+        if fs::read_to_string(folder.join("name"))?.trim() == wanted {
+            return Ok(Path::new("/dev").join(folder.file_name().ok_or("a node without a name")?));
+        }
+    }
+    Err(format!("no {wanted} found").into())
+}
+
 /// The output of a camera.
 pub struct Output {
     path: PathBuf,
+    size: (usize, usize),
+    scan: Scan,
     stream: Option<Stream>,
     frame: Vec<u8>,
 }
 
 impl Output {
-    pub fn find(number: usize) -> Result<Self, Box<dyn Error>> {
-        let wanted = format!("vivid-{number:03}-vid-out");
-        for entry in fs::read_dir(NODES)? {
-            let folder = entry?.path();
-            if fs::read_to_string(folder.join("name"))?.trim() == wanted {
-                let path = Path::new("/dev").join(folder.file_name().ok_or("a node without a name")?);
-                return Ok(Self { path, stream: None, frame: Vec::new() });
-            }
-        }
-        Err(format!("no {wanted} found").into())
+    pub fn find(devices: Devices, number: usize) -> Result<Self, Box<dyn Error>> {
+        let path = node(&format!("vivid-{number:03}-vid-out"))?;
+        let (size, scan) = match devices {
+            Devices::Two => (PAL, Scan::Interlaced),
+            Devices::One => (HDMI, Scan::Progressive),
+        };
+        Ok(Self { path, size, scan, stream: None, frame: Vec::new() })
     }
 
     /// Puts the image into the frame, with its upper left corner at this position; the unused area gets the colour of the
-    /// image's upper left pixel. The camera takes the upper left part of the frame.
+    /// upper left pixel of the first image. The camera takes the upper left part of the frame.
     pub fn draw(&mut self, image: &RgbImage, (x, y): (u32, u32)) {
         let (width, pixels) = (image.width() as usize, image.as_raw());
         if self.frame.is_empty() {
             let background = [0, 1, 2, 0, 1, 2].map(|channel: usize| pixels[channel]);
-            self.frame = yuyv_of(&background).repeat(FRAME.0 * FRAME.1 / 2);
+            self.frame = yuyv_of(&background).repeat(self.size.0 * self.size.1 / 2);
         }
         for (row, pixels) in pixels.chunks_exact(width * 3).enumerate() {
-            let line = &mut self.frame[((y as usize + row) * FRAME.0 + x as usize) * 2..][..width * 2];
+            let line = &mut self.frame[((y as usize + row) * self.size.0 + x as usize) * 2..][..width * 2];
             for (pair, yuyv) in pixels.chunks_exact(6).zip(line.chunks_exact_mut(4)) {
                 yuyv.copy_from_slice(&yuyv_of(pair));
             }
+        }
+    }
+
+    /// Changes the lowest bit of a pixel: no two frames are the same.
+    pub fn flicker(&mut self, (x, y): (u32, u32)) {
+        if let Some(luma) = self.frame.get_mut((y as usize * self.size.0 + x as usize) * 2) {
+            *luma ^= 1;
         }
     }
 
@@ -88,7 +117,7 @@ impl Output {
         let mut stream = match self.stream.take() {
             Some(stream) => stream,
             None => {
-                let mut stream = Stream::open(&self.path)?;
+                let mut stream = Stream::open(&self.path, self.scan)?;
                 // Streaming starts with two buffers.
                 stream.give(&self.frame)?;
                 stream

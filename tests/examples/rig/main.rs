@@ -1,6 +1,6 @@
 //! The program that `cargo xtask vm rig` runs in an emulated computer: the environment of the program `pb3dp` (`/bin/pb3dp`),
 //! which cannot tell the difference. Two emulated arms are at the far ends of its serial lines, and two cameras (`vivid`)
-//! show the view from their hand.
+//! show the view from their hand; in the suite `rig-one-device` one camera shows both views side by side.
 //!
 //! It is the first program of that computer. It reports its results on the console, in the format of `report.rs`.
 
@@ -33,6 +33,7 @@ mod clock {
 use std::process::ExitCode;
 
 use report::Report;
+use setup::Devices;
 
 /// Process number of the first program.
 const FIRST: u32 = 1;
@@ -44,9 +45,15 @@ fn main() -> ExitCode {
     }
     let mut report = Report::default();
     report.check("the computer starts", system::prepare);
-    let world = run::check(&mut report);
-    commands::check(&mut report);
-    drop(world);
+    let suite = std::env::args().nth(1).unwrap_or_default();
+    match Devices::of_suite(&suite) {
+        Some(devices) => {
+            let world = run::check(devices, &mut report);
+            commands::check(devices, &mut report);
+            drop(world);
+        }
+        None => report.check("the suite is known", || Err(format!("there is no suite `{suite}`").into())),
+    }
     report.end();
     system::switch_off();
     ExitCode::SUCCESS

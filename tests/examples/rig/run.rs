@@ -17,7 +17,7 @@ use crate::images;
 use crate::lines::name_port;
 use crate::program::Running;
 use crate::report::{Outcome, Report, ensure};
-use crate::setup::{self, BUSES, DISCONNECT, HERE, control, name};
+use crate::setup::{self, DISCONNECT, Devices, HERE, control, name};
 use crate::system::wait_for;
 use crate::world::World;
 
@@ -37,35 +37,32 @@ const PATIENCE: Duration = Duration::from_secs(40);
 /// Address of the panel.
 const PANEL: ([u8; 4], u16) = ([127, 0, 0, 1], 8087);
 
-/// The camera that is disconnected.
-const PULLED: usize = 1;
-
 /// Runs the checks and returns the world for the next ones.
-pub fn check(report: &mut Report) -> Option<World> {
+pub fn check(devices: Devices, report: &mut Report) -> Option<World> {
     report.check("the rig is there", || {
-        images::prepare()?;
-        setup::write()?;
+        images::prepare(devices)?;
+        setup::write(devices)?;
         let setup = read_setup(Path::new(HERE))?;
         Ok(format!("{}, {}", name_port(&setup.rig.arms.vs, "ARM1")?, name_port(&setup.rig.arms.tc, "ARM2")?))
     });
     let mut rig = None;
     report.check("the program starts with cameras and arms", || {
-        rig = Some(start()?);
+        rig = Some(start(devices)?);
         Ok(String::new())
     });
     let (world, mut run, person) = rig?;
     report.check("the object is chosen in the live image", || select(&person));
     report.check("the hand is led by the images, and stays before the target", || follow(&world, &person));
     report.check("a camera that is pulled and plugged in again: the hand holds, and follows again", || {
-        pulled(&world, &mut run, &person)
+        pulled(devices, &world, &mut run, &person)
     });
     report.check("the hand holds, and both arms stop in order", || end(&world, run, person));
     Some(world)
 }
 
 /// Starts the program with its panel; a script takes the command, as a person at the page does.
-fn start() -> Result<(World, Running, Client), Box<dyn Error>> {
-    let world = World::start()?;
+fn start(devices: Devices) -> Result<(World, Running, Client), Box<dyn Error>> {
+    let world = World::start(devices)?;
     wait_for("the first images are shown", || (world.shown() > 1).then_some(()))?;
     loopback_up()?;
     let address = SocketAddr::from(PANEL);
@@ -122,13 +119,14 @@ fn place(world: &World) -> Outcome {
     Ok(text)
 }
 
-fn pulled(world: &World, run: &mut Running, person: &Client) -> Outcome {
+fn pulled(devices: Devices, world: &World, run: &mut Running, person: &Client) -> Outcome {
+    let last = devices.buses().len() - 1;
     let disconnect = control(DISCONNECT)?;
     // Closed before the program has noticed: the driver comes back when no process has it open.
-    let node = names::open(&Linux, &name(PULLED))?.1;
+    let node = names::open(&Linux, &name(last))?.1;
     let _ = { node }.set_control(disconnect, 0);
     let lost = run.wait_for("trying to reopen", None)?;
-    ensure(lost.contains(BUSES[PULLED]), || format!("the program printed: {lost}"))?;
+    ensure(lost.contains(devices.buses()[last]), || format!("the program printed: {lost}"))?;
     let rests = run.wait_for("check the cameras", None)?;
     follow_again(person)?;
     Ok(format!("{rests}; then {}", place(world)?))

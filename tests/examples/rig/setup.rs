@@ -12,14 +12,42 @@ use pb3dp_camera_v4l2::names;
 /// The configuration file of the program, next to that of the rig.
 pub const HERE: &str = "/configs/here.toml";
 
-/// Bus addresses of the two cameras.
-pub const BUSES: [&str; 2] = ["platform:vivid-000", "platform:vivid-001"];
+/// Bus addresses of the cameras.
+const BUSES: [&str; 2] = ["platform:vivid-000", "platform:vivid-001"];
 
 /// Controls of `vivid` by their names.
 pub const LOOP: &str = "Loop Video";
 pub const OSD: &str = "OSD Text Mode";
 pub const STAMPS: &str = "Timestamp Source";
 pub const DISCONNECT: &str = "Disconnect";
+
+/// The devices that deliver the two views.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Devices {
+    /// One per view.
+    Two,
+    /// One with both views side by side.
+    One,
+}
+
+impl Devices {
+    /// Those of a suite.
+    pub fn of_suite(name: &str) -> Option<Self> {
+        match name {
+            "rig" => Some(Self::Two),
+            "rig-one-device" => Some(Self::One),
+            _ => None,
+        }
+    }
+
+    /// Their bus addresses.
+    pub fn buses(self) -> &'static [&'static str] {
+        match self {
+            Self::Two => &BUSES,
+            Self::One => &BUSES[..1],
+        }
+    }
+}
 
 pub fn name(number: usize) -> CameraName {
     CameraName::Bus { bus: BUSES[number].to_owned(), index: None }
@@ -34,12 +62,27 @@ pub fn control(name: &str) -> Result<u32, Box<dyn Error>> {
 }
 
 /// Writes the configuration file of the program.
-pub fn write() -> Result<(), Box<dyn Error>> {
-    Ok(fs::write(Path::new(HERE), text(control(STAMPS)?))?)
+pub fn write(devices: Devices) -> Result<(), Box<dyn Error>> {
+    let stamps = control(STAMPS)?;
+    let camera = match devices {
+        Devices::Two => two_devices(stamps),
+        Devices::One => one_device(stamps),
+    };
+    Ok(fs::write(Path::new(HERE), camera + EXPERIMENT)?)
 }
 
-/// The differences from the rig, with their reasons.
-fn text(stamps: u32) -> String {
+/// The differences that do not concern the cameras, with their reasons.
+const EXPERIMENT: &str = r#"
+[drift] # A pair would take this computer a second.
+every_s = 60.0
+
+[experiment] # The target rests. Whether the arms can follow the whole path is checked before, which takes this computer long.
+lead_in_s = 60.0
+channels = ["z"]
+"#;
+
+/// The differences of the cameras, with their reasons.
+fn two_devices(stamps: u32) -> String {
     // They have neither exposure nor white balance. `vivid` stamps the end of an image that is still to come unless this is disabled.
     let side = |number: usize| {
         format!(
@@ -65,15 +108,36 @@ skew_max_millis = 30.0
 
 [supervisor.policies]
 camera_skew.skew_millis = 30.0
-
-[drift] # A pair would take this computer a second.
-every_s = 60.0
-
-[experiment] # The target rests. Whether the arms can follow the whole path is checked before, which takes this computer long.
-lead_in_s = 60.0
-channels = ["z"]
 "#,
         left = side(0),
         right = side(1)
+    )
+}
+
+/// As above, for one device: format, size and skew stay those of the rig. Images 33.3 ms apart would have uneven times: this kernel stamps
+/// them in steps of 4 ms.
+fn one_device(stamps: u32) -> String {
+    format!(
+        r#"base = "rig.toml"
+without = ["camera.right.device"]
+
+[camera]
+layout = "side-by-side"
+frame_rate_hz = 25.0
+
+[camera.left]
+device = "{name}"
+exposure_millis = "keep"
+stated_exposure_millis = 0.0
+gain = "keep"
+white_balance_kelvin = "keep"
+further_controls = [{{ id = {stamps}, value = 1 }}]
+
+[camera.right] # It has the settings of the left view.
+exposure_millis = "keep"
+gain = "keep"
+white_balance_kelvin = "keep"
+"#,
+        name = name(0)
     )
 }

@@ -23,7 +23,7 @@ use pb3dp_wiring::arm::far_side;
 
 use crate::images::Output;
 use crate::lines::far_end;
-use crate::setup::HERE;
+use crate::setup::{Devices, HERE};
 
 /// Smaller motions are not rendered again: a hundredth of a pixel.
 const SEEN_M: f64 = 1e-5;
@@ -33,7 +33,7 @@ const SEEN_RAD: f64 = 2e-5;
 /// computer longer than the frame period.
 const WINDOW: ImageSize = ImageSize { width: 208, height: 160 };
 
-/// Position of that part in the left and in the right image: x and y of the upper left pixel.
+/// Position of that part in the left and in the right view: x and y of the upper left pixel.
 const CORNERS: [(u32, u32); 2] = [(290, 160), (142, 160)];
 
 /// Interval of the search for a missing output.
@@ -58,7 +58,7 @@ struct Shared {
 
 impl World {
     /// Arms at the start of the setup, at the far ends of its lines.
-    pub fn start() -> Result<Self, Box<dyn Error>> {
+    pub fn start(devices: Devices) -> Result<Self, Box<dyn Error>> {
         let setup = read_setup(Path::new(HERE))?;
         let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
         let (vs, vs_site) = far_side(("vs", &setup.rig.arms.vs), far_end(&setup.rig.arms.vs, "FAR1")?, &clock)?;
@@ -72,7 +72,7 @@ impl World {
             free_target: None,
         };
         let shared = Arc::new(Shared::default());
-        let painter = Painter::new(&setup, cell.clone(), Arc::clone(&clock), Arc::clone(&shared))?;
+        let painter = Painter::new(devices, &setup, cell.clone(), Arc::clone(&clock), Arc::clone(&shared))?;
         let painter = Some(std::thread::Builder::new().name("painter".to_owned()).spawn(|| painter.paint())?);
         let hand_wanted_from_target = setup.controller.model_from_hand_desired.inverse().relabel();
         Ok(Self { arms: [vs, tc], cell, hand_wanted_from_target, clock, painter, shared })
@@ -109,7 +109,9 @@ impl Drop for World {
 /// Renders the camera images after each motion.
 struct Painter {
     renderer: StereoRenderer,
-    outputs: [Output; 2],
+    outputs: Vec<Output>,
+    /// Of each view: its output, and the position of its rendered part there.
+    places: [(usize, (u32, u32)); 2],
     cell: SimulatedCell,
     clock: Arc<dyn Clock>,
     shared: Arc<Shared>,
@@ -117,6 +119,7 @@ struct Painter {
 
 impl Painter {
     fn new(
+        devices: Devices,
         setup: &Setup,
         cell: SimulatedCell,
         clock: Arc<dyn Clock>,
@@ -127,7 +130,14 @@ impl Painter {
         let scene = Scene::from_parts(parts, target, Lighting::default())?;
         let sensor = SensorConfig { right: SensorConfig::default().right, ..SensorConfig::IDEAL };
         let renderer = StereoRenderer::new(scene, windows(&setup.rig.stereo)?, &sensor, 1)?;
-        Ok(Self { renderer, outputs: [Output::find(0)?, Output::find(1)?], cell, clock, shared })
+        let find = |number| Output::find(devices, number);
+        let outputs = (0..devices.buses().len()).map(find).collect::<Result<_, _>>()?;
+        let [left, (x, y)] = CORNERS;
+        let places = match devices {
+            Devices::Two => [(0, left), (1, (x, y))],
+            Devices::One => [(0, left), (0, (setup.rig.stereo.left().size().width + x, y))],
+        };
+        Ok(Self { renderer, outputs, places, cell, clock, shared })
     }
 
     fn paint(mut self) {
@@ -141,12 +151,15 @@ impl Painter {
             if drawn.is_none_or(|drawn| is_seen(&drawn, &poses)) {
                 let [left, right] = &mut images;
                 self.renderer.render_pair(&poses, 0, left, right);
-                for ((output, image), corner) in self.outputs.iter_mut().zip(&images).zip(CORNERS) {
-                    output.draw(image, corner);
+                for (image, (output, corner)) in images.iter().zip(self.places) {
+                    self.outputs[output].draw(image, corner);
                 }
                 drawn = Some(poses);
             }
-            let is_shown = self.outputs.each_mut().map(Output::show).iter().all(Result::is_ok);
+            let (output, corner) = self.places[1];
+            self.outputs[output].flicker(corner);
+            let shown: Vec<_> = self.outputs.iter_mut().map(Output::show).collect();
+            let is_shown = shown.iter().all(Result::is_ok);
             self.shared.shown.fetch_add(u64::from(is_shown), Ordering::SeqCst);
             if !is_shown {
                 self.clock.sleep_until(now + AGAIN);

@@ -37,7 +37,7 @@ const PLAIN: &str = "qemu64";
 const WITH_VECTORS: &str = "max,la57=off,erms=off,fsrm=off";
 
 /// All suites.
-pub const SUITES: [Suite; 4] = [
+pub const SUITES: [Suite; 5] = [
     Suite {
         name: "serial",
         what: "serial ports of an arm: USB adapters, a 16550, a cable that is unplugged",
@@ -96,34 +96,38 @@ pub const SUITES: [Suite; 4] = [
         fixed: &[],
         pluggable: &[],
     },
-    Suite {
-        name: "rig",
-        what: "`pb3dp run` with configs/rig.toml: two cameras, two emulated arms at serial ports, a camera that is unplugged",
-        package: "system-tests",
-        example: "rig",
-        has_product: true,
-        processor: WITH_VECTORS,
-        modules: &["xhci_pci", "ftdi_sio"],
-        modules_by_hand: &["vivid"],
-        kernel_arguments: "no_timer_check",
-        // Two adapters at the ends of each of two cables.
-        fixed: &[
-            "-device",
-            "qemu-xhci,id=usb",
-            "-chardev",
-            "socket,id=cable-1,path=FOLDER/cable1,server=on,wait=off",
-            "-chardev",
-            "socket,id=cable-far-1,path=FOLDER/cable1,reconnect=1",
-            "-chardev",
-            "socket,id=cable-2,path=FOLDER/cable2,server=on,wait=off",
-            "-chardev",
-            "socket,id=cable-far-2,path=FOLDER/cable2,reconnect=1",
-        ],
-        pluggable: &[
-            Device { name: "arm-1", what: "usb-serial,bus=usb.0,chardev=cable-1,serial=ARM1" },
-            Device { name: "far-1", what: "usb-serial,bus=usb.0,chardev=cable-far-1,serial=FAR1" },
-            Device { name: "arm-2", what: "usb-serial,bus=usb.0,chardev=cable-2,serial=ARM2" },
-            Device { name: "far-2", what: "usb-serial,bus=usb.0,chardev=cable-far-2,serial=FAR2" },
-        ],
-    },
+    RIG,
+    Suite { name: "rig-one-device", what: "the same with one camera that delivers both views side by side", ..RIG },
 ];
+
+/// The rig, with two cameras.
+const RIG: Suite = Suite {
+    name: "rig",
+    what: "`pb3dp run` with configs/rig.toml: two cameras, two emulated arms at serial ports, a camera that is unplugged",
+    package: "system-tests",
+    example: "rig",
+    has_product: true,
+    processor: WITH_VECTORS,
+    modules: &["xhci_pci", "ftdi_sio"],
+    modules_by_hand: &["vivid"],
+    kernel_arguments: "no_timer_check",
+    // Two adapters at the ends of each of two cables.
+    fixed: &[
+        "-device",
+        "qemu-xhci,id=usb",
+        "-chardev",
+        "socket,id=cable-1,path=FOLDER/cable1,server=on,wait=off",
+        "-chardev",
+        "socket,id=cable-far-1,path=FOLDER/cable1,reconnect=1",
+        "-chardev",
+        "socket,id=cable-2,path=FOLDER/cable2,server=on,wait=off",
+        "-chardev",
+        "socket,id=cable-far-2,path=FOLDER/cable2,reconnect=1",
+    ],
+    pluggable: &[
+        Device { name: "arm-1", what: "usb-serial,bus=usb.0,chardev=cable-1,serial=ARM1" },
+        Device { name: "far-1", what: "usb-serial,bus=usb.0,chardev=cable-far-1,serial=FAR1" },
+        Device { name: "arm-2", what: "usb-serial,bus=usb.0,chardev=cable-2,serial=ARM2" },
+        Device { name: "far-2", what: "usb-serial,bus=usb.0,chardev=cable-far-2,serial=FAR2" },
+    ],
+};
