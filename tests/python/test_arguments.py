@@ -32,7 +32,9 @@ def test_images_of_another_kind(case):
     refused(lambda: estimator.estimate(left.astype(np.float32), right, RECTANGLE), "left", "float32", "uint8")
     refused(lambda: estimator.estimate(left, right.astype(">u2"), RECTANGLE), "right", "uint16", "uint8")
     refused(lambda: estimator.estimate(left, right.tolist(), RECTANGLE), "right", "list", "numpy array")
-    refused(lambda: estimator.estimate(left, None, RECTANGLE), "right", "NoneType")
+    refused(lambda: estimator.estimate(left, None, RECTANGLE), "right", "None")
+    refused(lambda: estimator.estimate("left.png", right, RECTANGLE), "left is a str", "read_image")
+    refused(lambda: estimator.estimate(left / 255.0, right, RECTANGLE), "float64", "255 * image")
     refused(lambda: estimator.estimate(left[..., :2], right, RECTANGLE), "left", "2]", "height x width x 3")
     refused(lambda: estimator.estimate(left.ravel(), right, RECTANGLE), "left", "shape", "height x width")
     refused(lambda: estimator.estimate(left[:0], right, RECTANGLE), "left", "shape [0,")
@@ -57,6 +59,8 @@ def test_regions(case):
     assert error.code is not None
     refused(lambda: estimator.estimate(pair.left, pair.right, pb3dp.Region.click(-7, 1e12)), "-7")
     refused(lambda: pb3dp.Region.rectangle(0, 0, 0, 80), "width 0", "positive")
+    refused(lambda: estimator.estimate(pair.left, pair.right, (0, 0, 9, 9)), "region is a tuple", "Region.rectangle")
+    refused(lambda: estimator.estimate(pair.left, pair.right, None), "region is None", "Region.rectangle")
     refused(lambda: pb3dp.Region.rectangle(float("nan"), 0, 10, 80), "NaN", "not a number")
     refused(lambda: pb3dp.Region.rectangle(0, 0, float("nan"), 80), "NaN")
     refused(lambda: pb3dp.Region.polygon([[0, 0], [10, 0]]), "at least 3")
@@ -163,3 +167,19 @@ def test_every_option_in_a_message_has_an_argument():
     assert {"--calib", "--z-range", "--range", "--topics"} <= set(found)
     missing = {option: line for option, line in found.items() if option not in known and option not in NOT_FOR_PYTHON}
     assert not missing, missing
+
+
+def test_a_range_in_millimetres_is_refused(case):
+    rig = case[0].rig
+    for make in (pb3dp.Estimator, pb3dp.Tracker):
+        refused(lambda make=make: make(rig, z_range_m=(200, 600)), "(200, 600), in metres", "not millimetres")
+
+
+def test_a_chessboard_alone_is_no_doubt_of_the_calibration(case):
+    """A texture that repeats matches at many places, which says nothing about the calibration."""
+    recording = case[0]
+    width, height = recording.rig.image_size
+    v, u = np.mgrid[:height, :width]
+    board = np.where((u // 14 + v // 14) % 2 == 0, 40, 200).astype(np.uint8)
+    estimate = pb3dp.Estimator(recording.rig).estimate(board, np.roll(board, -20, axis=1), RECTANGLE)
+    assert not any("calibration" in warning for warning in estimate.warnings), estimate.warnings

@@ -2,6 +2,7 @@
 
 import inspect
 import re
+import shutil
 import subprocess
 import sys
 
@@ -14,6 +15,7 @@ import pb3dp
 from conftest import CASES, ROOT, estimator_of
 
 PAGES = ["README.md", "crates/python/README.md", "docs/how-to/from-python.md"]
+FOLDER = 'Recording("images")'
 NOTEBOOK = ROOT / "docs/how-to/from-python.ipynb"
 
 
@@ -53,7 +55,43 @@ def test_the_lines_of_a_page_run(page, monkeypatch, tmp_path):
     monkeypatch.setenv("MPLBACKEND", "Agg")
     names = {"__name__": "page"}
     for block in blocks:
-        exec(compile(block, page, "exec"), names)  # noqa: S102
+        is_of_folder = FOLDER in block
+        monkeypatch.chdir(folder_of_images(tmp_path) if is_of_folder else ROOT)
+        exec(compile(block, page, "exec"), {"__name__": "page"} if is_of_folder else names)  # noqa: S102
+    (ROOT / "pose.png").unlink(missing_ok=True)
+
+
+def folder_of_images(base):
+    """A folder in which `images` is a recording of three pairs and a damaged one."""
+    images = base / "images"
+    if not images.exists():
+        images.mkdir()
+        shutil.copy(CASES[0] / "calib.json", images)
+        for number in range(4):
+            for side in ("left", "right"):
+                shutil.copy(CASES[0] / f"{side}.png", images / f"{side}_{number:04}.png")
+        (images / "left_0002.png").write_bytes(b"no image")
+    return base
+
+
+def test_a_loop_leaves_out_damaged_pairs(tmp_path):
+    recording = pb3dp.Recording(folder_of_images(tmp_path) / "images")
+    assert [pair.index for pair in recording] == [0, 1, 3] and len(recording) == 4
+    assert len(list(recording)) == 3
+    [warning] = recording.warnings
+    assert "left_0002.png" in warning
+    with pytest.raises(pb3dp.Error, match="left_0002.png"):
+        recording[2]
+
+
+def test_a_calibration_is_a_path_or_a_list(tmp_path):
+    images = folder_of_images(tmp_path) / "images"
+    (images / "calib.json").rename(tmp_path / "calib.json")
+    file = tmp_path / "calib.json"
+    for given in (file, str(file), [file]):
+        assert len(pb3dp.Recording(images, calibration=given)) == 4
+    with pytest.raises(pb3dp.Error, match="calibration is a StereoRig: give the path"):
+        pb3dp.Recording(images, calibration=pb3dp.StereoRig.load(file))
 
 
 def test_the_notebook_runs(monkeypatch):
@@ -71,8 +109,29 @@ def test_a_pose_is_drawn(case, monkeypatch):
     estimate = estimator_of(recording).estimate(pair.left, pair.right, recording.region)
     axes = plot.show_pose(pair.left, estimate, recording.rig)
     assert "mm" in axes.get_title() and len(axes.lines) == 3
+    assert [text.get_text() for text in axes.texts] == ["x", "y", "z"]
+    marked = plot.show_pose(pair.left, estimate, recording.rig, region=pb3dp.Region.rectangle(10, 20, 30, 40))
+    assert marked.lines[0].get_xydata().tolist() == [[10, 20], [40, 20], [40, 60], [10, 60], [10, 20]]
     # The origin is drawn on the ray of the centroid.
     assert np.allclose(axes.lines[0].get_xydata()[0], estimate.centroid_px, atol=1e-6)
+
+
+def test_a_track_is_drawn(case, monkeypatch):
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    from pb3dp import plot
+
+    recording, pair, _ = case
+    tracker = pb3dp.Tracker(recording.rig, z_range_m=recording.z_range_m)
+    black = np.zeros_like(pair.left)
+    tracked = [tracker.track(pair.left, pair.right, recording.region), tracker.track(pair.left, pair.right), tracker.track(black, black)]
+    assert [found.status == "ok" for found in tracked] == [True, True, False]
+    position, turn, sigma = plot.show_track(tracked, [0.0, 0.1, 0.2]).axes
+    assert len(position.lines) == 3 and np.allclose(position.lines[0].get_xydata()[0], 0.0)
+    assert len(turn.patches) == 1 and turn.patches[0].get_x() == pytest.approx(0.15)
+    z_mm = 1e3 * np.sqrt(tracked[1].covariance[2, 2])
+    assert sigma.lines[2].get_ydata()[1] == pytest.approx(z_mm)
+    with pytest.raises(pb3dp.Error, match="give 3 times"):
+        plot.show_track(tracked, [0.0])
 
 
 def test_a_rig_is_described(case):

@@ -13,6 +13,10 @@ use crate::workspace::{Workspace, run_visibly};
 const BUGS: &str = "tests/seeded_bugs.toml";
 /// The environment variable that chooses a bug by its number, from 1.
 const CHOICE: &str = "PB3DP_SEEDED_BUG";
+/// Building takes less, seconds; a test without a mistake takes much less.
+const TIME_OUT_S: &str = "3600";
+/// Tests that take longer find a mistake by that, seconds.
+const TESTS_MAX_S: &str = "90";
 /// Where `text` of a bug asks whether it is chosen.
 const PLACE: &str = "{bug}";
 
@@ -141,16 +145,22 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     for (file, source) in sources {
         fs::write(scratch.tree.join(&file), source).with_context(|| format!("cannot write {file}"))?;
     }
-    let cargo = |words: &[&str]| {
-        let mut command = Command::new("cargo");
-        command.args(words).arg("--release").current_dir(&scratch.tree).env("CARGO_TARGET_DIR", &scratch.target);
+    // A mistake may let a test wait for ever; cargo and the test end together.
+    let cargo = |within_s: &str, words: &[&str]| {
+        let mut command = Command::new("timeout");
+        command
+            .args([within_s, "cargo"])
+            .args(words)
+            .arg("--release")
+            .current_dir(&scratch.tree)
+            .env("CARGO_TARGET_DIR", &scratch.target);
         command
     };
-    let mut build = cargo(&["build", "--package", "pb3dp-benchmarks", "--example", "safety"]);
+    let mut build = cargo(TIME_OUT_S, &["build", "--package", "pb3dp-benchmarks", "--example", "safety"]);
     run_visibly(&mut build)?;
     let mut tests = vec!["test", "--tests"];
     tests.extend(packages.iter().flat_map(|package| ["--package", package]));
-    run_visibly(&mut cargo(&tests)).context("the tests fail without a mistake")?;
+    run_visibly(&mut cargo(TIME_OUT_S, &tests)).context("the tests fail without a mistake")?;
     let simulation = scratch.target.join("release/examples/safety");
     if simulate(&simulation, args, 0)?.0 > 0 {
         bail!("the simulation finds a violation without a mistake; choose another --seed, and report it");
@@ -166,8 +176,11 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
         if !args.only.is_empty() && !args.only.contains(&number) {
             continue;
         }
-        let tested =
-            cargo(&tests).env(CHOICE, number.to_string()).stdout(Stdio::null()).stderr(Stdio::null()).status()?;
+        let tested = cargo(TESTS_MAX_S, &tests)
+            .env(CHOICE, number.to_string())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .status()?;
         let (runs, invariants) = simulate(&simulation, args, number)?;
         let found = Found { by_tests: !tested.success(), runs, invariants };
         println!("{}", row(number, bug, &found));

@@ -53,6 +53,8 @@ const TEXTURE_MIN: f64 = 2.5;
 const OFFSET_MAX_PX: f64 = 12.0;
 /// Smallest correlation of a match.
 const CORRELATION_MIN: f32 = 0.85;
+/// Smallest correlation of a patch whose texture repeats; chance gives less between images of two scenes.
+const REPEATED_MIN: f32 = 0.95;
 /// Largest ratio of `1 - correlation` between a match and its best rival.
 const RIVAL_RATIO_MAX: f32 = 0.5;
 /// Lower bound of `1 - correlation` of a match, so that a rival must be clearly worse.
@@ -102,6 +104,8 @@ pub struct PairCheck {
     pub verdict: PairVerdict,
     /// Well-textured patches of the left image that were searched for.
     pub patches: usize,
+    /// Number of patches that match at several places: their texture repeats, and they decide nothing.
+    pub repeated: usize,
     /// Number of patches with an unambiguous match.
     pub matches: usize,
     /// Number of matches that agree in their distance from the epipolar line, within 1.5 px.
@@ -164,6 +168,7 @@ impl PairCheck {
         Self {
             verdict: PairVerdict::Unknown,
             patches: 0,
+            repeated: 0,
             matches: 0,
             agreeing: 0,
             behind: 0,
@@ -189,7 +194,7 @@ fn check_views(rig: &StereoRig, left: ImageView<'_>, right: ImageView<'_>) -> Pa
         return PairCheck::unknown();
     }
     let in_this_order = |left, right| {
-        matches_of(rig, left, right).map_or_else(PairCheck::unknown, |found| judge(found.patches, &found.matches))
+        matches_of(rig, left, right).map_or_else(PairCheck::unknown, |found| judge(&found))
     };
     let check = in_this_order(left, right);
     if check.verdict == PairVerdict::Consistent || left.dimensions() != right.dimensions() {
@@ -208,13 +213,14 @@ fn roll_deg(rig: &StereoRig) -> f64 {
 }
 
 /// The verdict for a set of matches.
-fn judge(patches: usize, matches: &[Match]) -> PairCheck {
+fn judge(Search { patches, repeated, matches }: &Search) -> PairCheck {
     let agreeing = agreeing(matches);
     let row_offset_px = median(agreeing.iter().map(|found| found.offset_px));
     let row_spread_px =
         row_offset_px.and_then(|centre| median(agreeing.iter().map(|found| 1.4826 * (found.offset_px - centre).abs())));
     let mut check = PairCheck {
-        patches,
+        patches: *patches,
+        repeated: *repeated,
         matches: matches.len(),
         agreeing: agreeing.len(),
         behind: agreeing.iter().filter(|found| found.disparity_px < -BEHIND_MIN_PX).count(),
@@ -229,15 +235,15 @@ fn judge(patches: usize, matches: &[Match]) -> PairCheck {
 impl PairCheck {
     /// The verdict that follows from the numbers, without the swapped images.
     fn judged(&self) -> PairVerdict {
-        let agreeing = self.agreeing as f64;
+        let (agreeing, deciding) = (self.agreeing as f64, self.patches - self.repeated);
         match self.row_offset_px {
-            _ if self.patches < PATCHES_MIN => PairVerdict::Unknown,
+            _ if deciding < PATCHES_MIN => PairVerdict::Unknown,
             Some(offset_px) if is_peak(self.agreeing, self.matches) => match offset_px {
                 _ if offset_px.abs() > ROW_OFFSET_MAX_PX => PairVerdict::RowsDisagree { offset_px },
                 _ if self.behind as f64 >= BEHIND_SHARE_MAX * agreeing => PairVerdict::BehindCameras,
                 _ => PairVerdict::Consistent,
             },
-            _ if agreeing < FOUND_SHARE_MIN * self.patches as f64 => PairVerdict::Unrelated,
+            _ if agreeing < FOUND_SHARE_MIN * deciding as f64 => PairVerdict::Unrelated,
             _ => PairVerdict::Unknown,
         }
     }
@@ -270,6 +276,14 @@ fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
     sorted.get(sorted.len() / 2).copied()
 }
 
+/// A patch that was found in the right image.
+enum Found {
+    /// At one place.
+    Once(Match),
+    /// At several places.
+    Repeated,
+}
+
 /// A patch with an unambiguous match in the right image.
 #[derive(Clone, Copy, Debug)]
 struct Match {
@@ -283,6 +297,8 @@ struct Match {
 struct Search {
     /// Number of patches searched for.
     patches: usize,
+    /// Number of these that match at several places.
+    repeated: usize,
     /// The matches found.
     matches: Vec<Match>,
 }
@@ -295,8 +311,15 @@ fn matches_of(rig: &StereoRig, left: ImageView<'_>, right: ImageView<'_>) -> Opt
         return None;
     }
     let corners = textured_corners(&images.left);
-    let matches = corners.iter().filter_map(|&corner| find(&images, rig, corner)).collect();
-    Some(Search { patches: corners.len(), matches })
+    let mut search = Search { patches: corners.len(), repeated: 0, matches: Vec::new() };
+    for corner in corners {
+        match find(&images, rig, corner) {
+            Some(Found::Once(found)) => search.matches.push(found),
+            Some(Found::Repeated) => search.repeated += 1,
+            None => {}
+        }
+    }
+    Some(search)
 }
 
 /// Corners of the best-textured window of each cell, if its texture is sufficient.
@@ -356,21 +379,34 @@ impl Texture {
 }
 
 /// Searches for the window at a corner of the left plane in the right image.
-fn find(images: &Images, rig: &StereoRig, [x, y]: [usize; 2]) -> Option<Match> {
+fn find(images: &Images, rig: &StereoRig, [x, y]: [usize; 2]) -> Option<Found> {
     let window = images.left.window(x, y)?;
     let curve = images.curve(rig, [x, y])?;
     let reach = images.samples(OFFSET_MAX_PX);
     let scores = images.scores(&window, &curve, reach);
-    let (step, side) = distinctive(&scores, (2 * reach + 1) as usize)?;
+    let Best { step, side, is_distinctive } = best(&scores, (2 * reach + 1) as usize)?;
+    if !is_distinctive {
+        return Some(Found::Repeated);
+    }
     let (disparity_px, offset_px) = images.refined([x as isize, y as isize], (&curve, step), side as isize - reach);
-    Some(Match { disparity_px, offset_px })
+    Some(Found::Once(Match { disparity_px, offset_px }))
 }
 
-/// Position and side of the best score, if it is high enough, not at the edge of the band, and without a rival elsewhere.
-fn distinctive(scores: &[f32], sides: usize) -> Option<(usize, usize)> {
+/// The best score of a patch.
+struct Best {
+    /// Its position along the curve.
+    step: usize,
+    /// Its side of the curve.
+    side: usize,
+    /// It has no rival elsewhere.
+    is_distinctive: bool,
+}
+
+/// The best score, if it is high enough: without a rival elsewhere and not at the edge of the band, or of a texture that repeats.
+fn best(scores: &[f32], sides: usize) -> Option<Best> {
     let (index, &best) = scores.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))?;
     let (step, side) = (index / sides, index % sides);
-    if best < CORRELATION_MIN || side == 0 || side + 1 == sides {
+    if best < CORRELATION_MIN {
         return None;
     }
     let mut rival = OUTSIDE;
@@ -382,5 +418,9 @@ fn distinctive(scores: &[f32], sides: usize) -> Option<(usize, usize)> {
             }
         }
     }
-    ((1.0 - best).max(FLAW_MIN) <= RIVAL_RATIO_MAX * (1.0 - rival)).then_some((step, side))
+    let is_distinctive = (1.0 - best).max(FLAW_MIN) <= RIVAL_RATIO_MAX * (1.0 - rival);
+    // At the edge of the band the true place may lie beyond it.
+    let is_at_edge = side == 0 || side + 1 == sides;
+    let counts = if is_distinctive { !is_at_edge } else { best >= REPEATED_MIN };
+    counts.then_some(Best { step, side, is_distinctive })
 }

@@ -36,3 +36,13 @@ fn exception(py: Python<'_>, error: &anyhow::Error) -> PyErr {
         Err(other) => other,
     }
 }
+
+/// The type of a value, for messages: `a tuple`, `an int`, `None`.
+pub fn of_type(given: &Bound<'_, PyAny>) -> String {
+    if given.is_none() {
+        return "None".to_owned();
+    }
+    let name = given.get_type().name().map_or_else(|_| "thing".to_owned(), |name| name.to_string());
+    let article = if name.starts_with(|c: char| "aeiouAEIOU".contains(c)) { "an" } else { "a" };
+    format!("{article} {name}")
+}

@@ -128,10 +128,11 @@ impl Estimator {
         py: Python<'_>,
         left: &Bound<'_, PyAny>,
         right: &Bound<'_, PyAny>,
-        region: &Region,
+        region: &Bound<'_, PyAny>,
         centroid_px: Option<[f64; 2]>,
         deadline_ms: Option<f64>,
     ) -> PyResult<Estimate> {
+        let region = Region::of(region).or_raise(py)?.get();
         let given = Given::of("left", left).and_then(|left| Ok([left, Given::of("right", right)?])).or_raise(py)?;
         let pixels = given[0].pixels("left").and_then(|left| Ok([left, given[1].pixels("right")?])).or_raise(py)?;
         let estimated = py.detach(|| {

@@ -10,8 +10,9 @@ use pb3dp_record::images::StoredImage;
 use pb3dp_record::value_range::{ValueRange, measured_range};
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
+use pyo3::types::PyString;
 
-use crate::errors::OrRaise;
+use crate::errors::{OrRaise, of_type};
 
 /// An image argument.
 pub struct Given<'py> {
@@ -66,11 +67,13 @@ impl<'py> Given<'py> {
             let (shape, memory) = memory(name, array)?;
             return Ok(Self { shape, values: GivenValues::Deep(memory) });
         }
-        let found = match given.cast::<PyUntypedArray>() {
-            Ok(array) => format!("an array of {}", array.dtype()),
-            Err(_) => format!("a {}", given.get_type()),
+        let Ok(array) = given.cast::<PyUntypedArray>() else {
+            let is_path = given.is_instance_of::<PyString>() || given.hasattr("__fspath__").unwrap_or(false);
+            let remedy = if is_path { "read it by pb3dp.read_image(path)" } else { "give a numpy array of uint8 or uint16" };
+            bail!("{name} is {}: {remedy}", of_type(given));
         };
-        bail!("{name} is {found}: give a numpy array of uint8 or uint16, such as image.astype(numpy.uint8)")
+        let remedy = "give uint8 or uint16; values from 0 to 1 become (255 * image).astype(numpy.uint8)";
+        bail!("{name} is an array of {}: {remedy}", array.dtype())
     }
 
     /// Its pixels.

@@ -14,7 +14,7 @@ use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 
 use crate::arrays;
-use crate::errors::OrRaise;
+use crate::errors::{OrRaise, of_type};
 use crate::images::array_of;
 use crate::region::Region;
 use crate::rig::StereoRig;
@@ -25,8 +25,8 @@ const PAIR_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// A recording of stereo pairs: an MCAP file or rosbag2 folder, a sequence or case folder, a EuRoC folder, or a folder of images.
 ///
-/// `recording[i]` is the pair with number i, from 0; a loop gives all pairs in order. A pair that is damaged raises `Error`, and the others can
-/// still be read.
+/// `recording[i]` is the pair with number i, from 0; a damaged one raises `Error`. A loop gives all pairs in order, leaves out the damaged
+/// ones, and adds the reason to `warnings`.
 #[pyclass(frozen, module = "pb3dp")]
 pub struct Recording {
     state: Mutex<State>,
@@ -37,12 +37,32 @@ pub struct Recording {
     tilt_max_rad: Option<f64>,
     /// Homogeneous matrices, one after the other.
     truth: Option<Vec<f64>>,
-    warnings: Vec<String>,
 }
 
 struct State {
     recording: Inner,
     notes: Vec<String>,
+    warnings: Vec<String>,
+}
+
+/// Calibration files: one, or several in a list.
+#[derive(FromPyObject)]
+enum Calibration {
+    One(PathBuf),
+    Several(Vec<PathBuf>),
+}
+
+impl Calibration {
+    /// # Errors
+    /// Something else than paths.
+    fn files(given: Option<&Bound<'_, PyAny>>) -> Result<Vec<PathBuf>> {
+        let Some(given) = given else { return Ok(Vec::new()) };
+        match given.extract() {
+            Ok(Self::One(file)) => Ok(vec![file]),
+            Ok(Self::Several(files)) => Ok(files),
+            Err(_) => bail!("calibration is {}: give the path of a file, or a list of paths", of_type(given)),
+        }
+    }
 }
 
 impl State {
@@ -53,6 +73,20 @@ impl State {
         let played = camera.next_pair_into(&mut pair, PAIR_TIMEOUT);
         self.notes.extend(camera.take_notes());
         Ok(played.map(|()| pair)?)
+    }
+
+    /// `None` if the pair is damaged.
+    fn pair_or_warn(&mut self, number: usize) -> Option<FramePair> {
+        match self.pair(number) {
+            Ok(pair) => Some(pair),
+            Err(why) => {
+                let warning = format!("{why:#}");
+                if !self.warnings.contains(&warning) {
+                    self.warnings.push(warning);
+                }
+                None
+            }
+        }
     }
 }
 
@@ -88,19 +122,20 @@ impl Recording {
 impl Recording {
     /// Opens a recording.
     ///
-    /// `calibration`: calibration files, as in `StereoRig.load`, instead of that of the recording. `topics`: those of the left and the right
+    /// `calibration`: a calibration file or a list of files, as in `StereoRig.load`, instead of that of the recording. `topics`: those of the left and the right
     /// images in an MCAP file; by default two that differ only in left and right. `pair_within_ms`: the longest time between the images of a
     /// pair. `value_range`: the values that become black and white in images with 16 bits; measured on the first pair by default.
     #[new]
-    #[pyo3(signature = (path, *, calibration=vec![], topics=None, pair_within_ms=3.0, value_range=None))]
+    #[pyo3(signature = (path, *, calibration=None, topics=None, pair_within_ms=3.0, value_range=None))]
     fn new(
         py: Python<'_>,
         path: PathBuf,
-        calibration: Vec<PathBuf>,
+        calibration: Option<&Bound<'_, PyAny>>,
         topics: Option<[String; 2]>,
         pair_within_ms: f64,
         value_range: Option<(u16, u16)>,
     ) -> PyResult<Self> {
+        let calibration = Calibration::files(calibration).or_raise(py)?;
         let options = options(topics, pair_within_ms, value_range).or_raise(py)?;
         let opened = py.detach(|| wire_replay(&path, &calibration, &options, ReplayPace::Fast)).or_raise(py)?;
         let calibration = opened.camera.calibration().clone();
@@ -116,8 +151,7 @@ impl Recording {
                 .cam_left_from_model
                 .as_ref()
                 .map(|poses| poses.iter().flat_map(arrays::homogeneous).collect()),
-            warnings: opened.warnings.clone(),
-            state: Mutex::new(State { recording: opened, notes }),
+            state: Mutex::new(State { warnings: opened.warnings.clone(), recording: opened, notes }),
         })
     }
 
@@ -165,10 +199,11 @@ impl Recording {
         notes.iter().map(|note| in_python(note)).collect()
     }
 
-    /// What is missing or not as it should be.
+    /// What is missing or not as it should be, and the damaged pairs that loops have left out so far.
     #[getter]
-    fn warnings(&self) -> Vec<String> {
-        self.warnings.iter().map(|warning| in_python(warning)).collect()
+    fn warnings(&self, py: Python<'_>) -> Vec<String> {
+        let warnings = py.detach(|| self.state.lock().unwrap_or_else(PoisonError::into_inner).warnings.clone());
+        warnings.iter().map(|warning| in_python(warning)).collect()
     }
 
     fn __len__(&self) -> usize {
@@ -194,7 +229,7 @@ impl Recording {
     }
 }
 
-/// The pairs of a recording in order; after a damaged one it goes on with the next.
+/// The pairs of a recording in order, without damaged ones.
 #[pyclass(frozen, module = "pb3dp")]
 pub struct Pairs {
     recording: Py<Recording>,
@@ -208,16 +243,19 @@ impl Pairs {
     }
 
     fn __next__(&self, py: Python<'_>) -> PyResult<Option<Pair>> {
-        let number = {
-            let mut next = self.next.lock().unwrap_or_else(PoisonError::into_inner);
-            *next += 1;
-            *next - 1
-        };
         let recording = self.recording.get();
-        if number >= recording.times_s.len() {
-            return Ok(None);
+        loop {
+            let number = {
+                let mut next = self.next.lock().unwrap_or_else(PoisonError::into_inner);
+                *next += 1;
+                *next - 1
+            };
+            let Some(&t_s) = recording.times_s.get(number) else { return Ok(None) };
+            let read = py.detach(|| recording.state.lock().unwrap_or_else(PoisonError::into_inner).pair_or_warn(number));
+            if let Some(pair) = read {
+                return Pair::of(py, number, t_s, pair).map(Some);
+            }
         }
-        recording.read(py, number).map(Some)
     }
 }
 

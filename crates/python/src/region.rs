@@ -5,13 +5,14 @@ use std::borrow::Cow;
 use anyhow::{Context, Result, anyhow, bail};
 use image::GrayImage;
 use nalgebra::Vector2;
-use numpy::{PyArrayDyn, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods};
+use numpy::{PyArray2, PyArrayDyn, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods};
 use pb3dp_estimation_core::region::Region as Marked;
 use pb3dp_geometry::ImageSize;
 use pb3dp_setup::region_spec::{RegionSpec, load_region, region_of_mask};
 use pyo3::prelude::*;
 
-use crate::errors::OrRaise;
+use crate::arrays;
+use crate::errors::{OrRaise, of_type};
 
 /// The pixels of an object in the left image.
 ///
@@ -44,6 +45,17 @@ impl Region {
             Mark::Spec(spec) => load_region(spec, size).map(Cow::Owned),
             Mark::Region(region) => Ok(Cow::Borrowed(region)),
         }
+    }
+
+    /// A region argument.
+    ///
+    /// # Errors
+    /// Something else.
+    pub fn of<'a, 'py>(given: &'a Bound<'py, PyAny>) -> Result<&'a Bound<'py, Self>> {
+        let region = given.cast::<Self>().ok();
+        region.with_context(|| {
+            format!("region is {}: give a pb3dp.Region, such as Region.rectangle(x, y, width, height)", of_type(given))
+        })
     }
 
     fn parsed(py: Python<'_>, text: &str) -> PyResult<Self> {
@@ -89,6 +101,21 @@ impl Region {
     fn mask(py: Python<'_>, mask: &Bound<'_, PyAny>) -> PyResult<Self> {
         let image = mask_image(mask).and_then(|image| region_of_mask("mask", image));
         Ok(Self { marked: Mark::Region(image.or_raise(py)?) })
+    }
+
+    /// The corners of a rectangle or a polygon: N x 2, pixels; None for masks and clicks.
+    #[getter]
+    fn corners_px<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
+        let corners = match &self.marked {
+            Mark::Region(Marked::Polygon { vertices_px }) => vertices_px.iter().flat_map(|at| [at.x, at.y]).collect(),
+            Mark::Spec(RegionSpec::Polygon(corners)) => corners.concat(),
+            Mark::Spec(RegionSpec::Rectangle([x, y, width, height])) => {
+                let (right, bottom) = (x + width, y + height);
+                vec![*x, *y, right, *y, right, bottom, *x, bottom]
+            }
+            _ => return Ok(None),
+        };
+        arrays::matrix(py, 2, corners).map(Some)
     }
 
     fn __repr__(&self) -> String {

@@ -2,13 +2,16 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use pb3dp_cell::search_range::default_range;
 use pb3dp_estimation::estimator::{EstimatorConfig, Method};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_geometry::StereoRig;
 use pb3dp_record::value_range::ValueRange;
 use pb3dp_setup::estimator::estimator_config;
+
+/// A range whose nearest depth has less disparity is given in other units, pixels.
+const DISPARITY_MIN_PX: f64 = 1.0;
 
 /// Arguments that an estimator and a tracker have in common.
 pub struct Asked<'a> {
@@ -40,6 +43,14 @@ impl Settings {
         }
         range.tilt_max_rad = asked.tilt_max_rad.unwrap_or(range.tilt_max_rad);
         range.validate().context("z_range_m is in metres and tilt_max_rad in radians")?;
+        let disparity_px = rig.left().pinhole().fx * rig.baseline_m() / range.z_min_m;
+        if disparity_px < DISPARITY_MIN_PX {
+            let (z_min_m, z_max_m) = (range.z_min_m, range.z_max_m);
+            bail!(
+                "z_range_m is ({z_min_m}, {z_max_m}), in metres: at {z_min_m} m the views of this rig differ by {disparity_px:.2} px, too little \
+                 for a depth; give metres, not millimetres"
+            );
+        }
         let of_values = |(low, high)| {
             ValueRange::new(low, high).with_context(|| {
                 format!("value_range is ({low}, {high}): the first value must be less than the second")

@@ -82,11 +82,12 @@ impl Tracker {
         py: Python<'_>,
         left: &Bound<'_, PyAny>,
         right: &Bound<'_, PyAny>,
-        region: Option<&Region>,
+        region: Option<&Bound<'_, PyAny>>,
         time_ns: Option<u64>,
         deadline_ms: Option<f64>,
         cam_left_prev_from_cam_left_now: Option<PyReadonlyArray2<'_, f64>>,
     ) -> PyResult<TrackEstimate> {
+        let region = region.map(Region::of).transpose().or_raise(py)?.map(Bound::get);
         let given = Given::of("left", left).and_then(|left| Ok([left, Given::of("right", right)?])).or_raise(py)?;
         let pixels = given[0].pixels("left").and_then(|left| Ok([left, given[1].pixels("right")?])).or_raise(py)?;
         let motion = cam_left_prev_from_cam_left_now

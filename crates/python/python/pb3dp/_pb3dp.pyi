@@ -77,6 +77,8 @@ class Region:
     def click(x: float, y: float) -> Region: ...
     @staticmethod
     def mask(mask: npt.NDArray[np.bool_] | _Bytes) -> Region: ...
+    @property
+    def corners_px(self) -> _Floats | None: ...
 
 @final
 class Estimate:
@@ -227,7 +229,7 @@ class Recording:
         cls,
         path: _Path,
         *,
-        calibration: Sequence[_Path] = ...,
+        calibration: _Path | Sequence[_Path] | None = None,
         topics: Sequence[str] | None = None,
         pair_within_ms: float = 3.0,
         value_range: tuple[int, int] | None = None,
