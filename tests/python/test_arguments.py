@@ -1,12 +1,18 @@
 """Wrong arguments raise an error that names the thing, its value and the remedy; none is a panic."""
 
 import itertools
+import json
+import re
+import shutil
 
 import numpy as np
 import pytest
 
 import pb3dp
-from conftest import CASES
+from conftest import CASES, ROOT
+
+# Options in messages that no call of the package raises: viewers, and the conversion of another format.
+NOT_FOR_PYTHON = {"--live", "--src", "--dst", "--dst-storage"}
 
 RECTANGLE = pb3dp.Region.rectangle(150, 120, 90, 80)
 
@@ -127,3 +133,33 @@ def test_numbers_at_random_never_panic(case):
             estimator.estimate(pair.left, pair.right, RECTANGLE, centroid_px=numbers, deadline_ms=numbers[0])
         except pb3dp.Error as error:
             assert str(error)
+
+
+def test_messages_name_arguments_and_no_options(case, tmp_path):
+    recording, pair, _ = case
+    for side in ("left", "right"):
+        (tmp_path / side).mkdir()
+        shutil.copy(CASES[0] / f"{side}.png", tmp_path / side / "0.png")
+    error = refused(lambda: pb3dp.Recording(tmp_path), "calibration=[FILE]")
+    assert "--" not in str(error)
+    estimate = pb3dp.Estimator(recording.rig, z_range_m=(0.05, 0.07)).estimate(pair.left, pair.right, RECTANGLE)
+    assert "(z_range_m)" in estimate.reason and "--" not in estimate.reason
+    # The line of the program keeps its words.
+    assert "(--z-range)" in json.loads(estimate.to_json())["reason"]
+
+
+def test_every_option_in_a_message_has_an_argument():
+    words = (ROOT / "crates/python/src/wording.rs").read_text()
+    known = set(re.findall(r'\("(--[a-z-]+)', words))
+    folders = ["crates/record/src", "crates/bag/src", "hal/camera-recordings/src", "crates/setup/src/region_spec.rs"]
+    folders += [path.relative_to(ROOT) / "src" for path in ROOT.glob("crates/estimation*")]
+    found = {}
+    for folder in folders:
+        files = (ROOT / folder).rglob("*.rs") if (ROOT / folder).is_dir() else [ROOT / folder]
+        for line in (line for file in files for line in file.read_text().splitlines()):
+            # Not the variables of style sheets: `--red: #d1242f`, `var(--red)`.
+            if not line.lstrip().startswith("//") and "var(--" not in line:
+                found.update(dict.fromkeys(re.findall(r"(?<![a-zA-Z-])--[a-z][a-z-]*[a-z](?![a-z:-])", line), line.strip()))
+    assert {"--calib", "--z-range", "--range", "--topics"} <= set(found)
+    missing = {option: line for option, line in found.items() if option not in known and option not in NOT_FOR_PYTHON}
+    assert not missing, missing

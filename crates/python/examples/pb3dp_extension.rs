@@ -6,4 +6,4 @@
 mod package;
 
 // The modules name each other by these paths.
-use package::{arrays, errors, estimate, estimator, images, region, rig, run_step, settings, track};
+use package::{arrays, errors, estimate, estimator, images, region, rig, run_step, settings, track, wording};

@@ -4,14 +4,16 @@ use pb3dp_wiring::message_codes::{code_of, in_words};
 use pyo3::exceptions::PyException;
 use pyo3::prelude::*;
 
+use crate::wording::in_python;
+
 pyo3::create_exception!(
     pb3dp,
     Error,
     PyException,
-    "An input that cannot be used, or a failure.\n\nThe text is that of the program: the thing, its value, the remedy. `code` is the code of the message, such as\n`PB3DP-EST-002`, or None; `pb3dp explain CODE` prints cause and remedy."
+    "An input that cannot be used, or a failure.\n\nThe text is that of the program, with the arguments of this package in the place of options: the thing, its value, the remedy. `code` is the code of the message, such as\n`PB3DP-EST-002`, or None; `pb3dp explain CODE` prints cause and remedy."
 );
 
-/// Errors become exceptions with the text and the code that the program prints.
+/// Errors become exceptions with the code that the program prints and with its text, in which arguments of Python replace options.
 pub trait OrRaise<T> {
     /// The value, or the exception.
     ///
@@ -27,7 +29,7 @@ impl<T, E: Into<anyhow::Error>> OrRaise<T> for Result<T, E> {
 }
 
 fn exception(py: Python<'_>, error: &anyhow::Error) -> PyErr {
-    let raised = Error::new_err(in_words(error));
+    let raised = Error::new_err(in_python(&in_words(error)));
     let code = code_of(error).map(|known| known.code);
     match raised.value(py).setattr("code", code) {
         Ok(()) => raised,

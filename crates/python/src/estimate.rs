@@ -12,6 +12,7 @@ use pyo3::prelude::*;
 use crate::arrays;
 use crate::errors::OrRaise;
 
+use crate::wording::in_python;
 /// The pose of a region in one stereo pair, with its status and the reason for it.
 ///
 /// Frames: `cam_left` is the left camera (x to the right, y down, z forward). `model` is on the plane of the region: its origin on the ray of
@@ -65,14 +66,14 @@ impl Estimate {
 
     /// What led to the status.
     #[getter]
-    fn reason(&self) -> &str {
-        &self.estimate.reason
+    fn reason(&self) -> String {
+        in_python(&self.estimate.reason)
     }
 
     /// What may make the pose worse than its status.
     #[getter]
     fn warnings(&self) -> Vec<String> {
-        self.warnings_in_words()
+        self.warnings_in_words().iter().map(|warning| in_python(warning)).collect()
     }
 
     /// The method: `direct` or `published`.

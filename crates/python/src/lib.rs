@@ -19,6 +19,7 @@ pub(crate) mod run_step;
 pub(crate) mod settings;
 pub(crate) mod track;
 pub(crate) mod tracker;
+pub(crate) mod wording;
 
 /// The compiled part of the package; `pb3dp/__init__.py` exports it.
 #[pyo3::pymodule]

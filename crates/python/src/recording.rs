@@ -18,6 +18,7 @@ use crate::errors::OrRaise;
 use crate::images::array_of;
 use crate::region::Region;
 use crate::rig::StereoRig;
+use crate::wording::in_python;
 
 /// A replay does not wait for images: this time-out should never expire.
 const PAIR_TIMEOUT: Duration = Duration::from_secs(10);
@@ -160,13 +161,14 @@ impl Recording {
     /// What the user should know of the recording, from the pairs that were read so far.
     #[getter]
     fn notes(&self, py: Python<'_>) -> Vec<String> {
-        py.detach(|| self.state.lock().unwrap_or_else(PoisonError::into_inner).notes.clone())
+        let notes = py.detach(|| self.state.lock().unwrap_or_else(PoisonError::into_inner).notes.clone());
+        notes.iter().map(|note| in_python(note)).collect()
     }
 
     /// What is missing or not as it should be.
     #[getter]
     fn warnings(&self) -> Vec<String> {
-        self.warnings.clone()
+        self.warnings.iter().map(|warning| in_python(warning)).collect()
     }
 
     fn __len__(&self) -> usize {

@@ -10,6 +10,7 @@ use crate::arrays;
 use crate::errors::OrRaise;
 
 /// The pose of a tracked target in one frame, with its status and the reason for it.
+use crate::wording::in_python;
 ///
 /// Frames: `cam_left` is the left camera (x to the right, y down, z forward). `model` is fixed to the target: in the first frame its origin is on
 /// the ray of the centroid of the region, z along the normal away from the camera, x along the rows of the image.
@@ -41,14 +42,14 @@ impl TrackEstimate {
 
     /// What led to the status.
     #[getter]
-    fn reason(&self) -> &str {
-        &self.estimate.reason
+    fn reason(&self) -> String {
+        in_python(&self.estimate.reason)
     }
 
     /// What may make the pose worse than its status; reported once, with the first frame.
     #[getter]
     fn warnings(&self) -> Vec<String> {
-        self.warnings_in_words()
+        self.warnings_in_words().iter().map(|warning| in_python(warning)).collect()
     }
 
     /// Pose of the target: 4x4, maps coordinates in `model` to `cam_left`, translation in metres; or None.
