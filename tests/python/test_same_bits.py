@@ -126,3 +126,66 @@ def test_a_recorded_run_as_arrays(recorded):
     assert run.estimate_times_s.shape == (len(run.statuses),) and set(run.statuses) == {"ok"}
     with pytest.raises(pb3dp.Error, match="case.json|calib.json|recording"):
         pb3dp.RecordedRun(CASES[0] / "case.json")
+
+
+def toml_of(rig, file, names=("left.fx", "right.fx", "cam_right_from_cam_left.x_m", "cam_right_from_cam_left.ry_rad")):
+    """Writes a calibration as `pb3dp calibrate stereo` does, with a covariance of these numbers."""
+    m = rig.cam_right_from_cam_left
+    w = math.sqrt(1.0 + np.trace(m[:3, :3])) / 2.0
+    xyz = [(m[2, 1] - m[1, 2]) / (4.0 * w), (m[0, 2] - m[2, 0]) / (4.0 * w), (m[1, 0] - m[0, 1]) / (4.0 * w)]
+    head = {"format": "pb3dp stereo calibration 1", "date": "2026-11-22T09:00:00Z", "tool": "a test", "source": "a test"}
+    text = "".join(f"{key} = {json.dumps(value)}\n" for key, value in head.items())
+    for side, matrix, lens in [("left", rig.left_matrix, rig.left_distortion), ("right", rig.right_matrix, rig.right_distortion)]:
+        numbers = {"fx_px": matrix[0, 0], "fy_px": matrix[1, 1], "cx_px": matrix[0, 2], "cy_px": matrix[1, 2]}
+        text += f"\n[{side}]\nimage_size_px = {list(rig.image_size)}\n"
+        text += "".join(f"{key} = {float(value)!r}\n" for key, value in numbers.items())
+        text += f'distortion_model = "{lens[0]}"\ndistortion_coefficients = {lens[1].tolist()}\n'
+    text += f"\n[cam_right_from_cam_left]\ntranslation_m = {m[:3, 3].tolist()}\nrotation_wxyz = {[w, *map(float, xyz)]}\n"
+    sigmas = np.array([0.4, 0.5, 2e-5, 3e-5])
+    covariance = np.diag(sigmas**2) + 0.5 * np.outer(sigmas, sigmas) * (1 - np.eye(4))
+    text += f"\n[measured]\n\n[gates]\n\n[covariance]\nnames = {json.dumps(list(names))}\nmatrix = {covariance.tolist()}\n"
+    file.write_text(text)
+    return covariance
+
+
+def test_the_share_of_the_calibration_in_an_estimate(tmp_path):
+    folder, file = CASES[1], tmp_path / "calibration.toml"
+    plain = pb3dp.StereoRig.load(folder / "calib.json")
+    covariance = toml_of(plain, file)
+    rig = pb3dp.StereoRig.load(file)
+    names, matrix = rig.calibration_covariance
+    assert names[2] == "cam_right_from_cam_left.x_m" and np.array_equal(matrix, covariance)
+    files = [folder / name for name in ("left.png", "right.png")]
+    left, right = map(pb3dp.read_image, files)
+    region = "rect:150,120,90,80"
+    estimate = pb3dp.Estimator(rig).estimate(left, right, pb3dp.Region.parse(region))
+    [line] = lines("estimate", "--left", files[0], "--right", files[1], "--calib", file, "--region", region, "--json")
+    assert without_time(estimate.to_json(line["case"])) == line
+    assert covariance_mm(estimate.calibration_covariance).ravel().tolist() == line["calibration_covariance"]
+    # A calibration file without a covariance gives no share.
+    assert plain.calibration_covariance is None
+    assert pb3dp.Estimator(plain).estimate(left, right, pb3dp.Region.parse(region)).calibration_covariance is None
+
+
+def test_a_covariance_that_does_not_fit_the_rig_is_noted(tmp_path):
+    file = tmp_path / "calibration.toml"
+    toml_of(pb3dp.StereoRig.load(CASES[1] / "calib.json"), file, ("left.fx", "right.fx", "left.zoom", "right.fy"))
+    assert any("left.zoom" in note for note in pb3dp.StereoRig.load(file).notes)
+
+
+def test_the_shares_of_the_calibration_in_a_tracked_recording(recorded, tmp_path):
+    file = tmp_path / "calibration.toml"
+    toml_of(pb3dp.Recording(recorded / "run.mcap").rig, file)
+    recording = pb3dp.Recording(recorded / "run.mcap", calibration=[file])
+    tracker = pb3dp.Tracker(recording.rig, z_range_m=recording.z_range_m, tilt_max_rad=recording.tilt_max_rad)
+    expected = lines("track", "--sequence", recorded / "run.mcap", "--calib", file, "--json")
+    for pair, line in zip(recording, expected, strict=True):
+        estimate = tracker.track(pair.left, pair.right, recording.region if pair.index == 0 else None, time_ns=pair.time_ns)
+        assert without_time(estimate.to_json(pair.index, pair.t_s)) == line
+        assert covariance_mm(estimate.calibration_covariance).ravel().tolist() == line["calibration_covariance"]
+        assert covariance_mm(estimate.calibration_covariance_of_motion).ravel().tolist() == line["calibration_covariance_of_motion"]
+    moved = np.abs(estimate.calibration_covariance_of_motion).max()
+    assert moved > 0.0
+    # Marking the target again begins with another first pose.
+    again = tracker.track(pair.left, pair.right, recording.region, time_ns=pair.time_ns + 40_000_000)
+    assert np.abs(again.calibration_covariance_of_motion).max() < 1e-9 * moved

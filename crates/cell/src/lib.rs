@@ -8,6 +8,7 @@ pub mod attended_motion;
 mod beside;
 pub mod both_arms;
 pub mod calibration_facts;
+pub mod calibration_share;
 pub mod camera_controls;
 pub mod camera_findings;
 pub mod capturing;

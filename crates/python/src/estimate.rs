@@ -3,6 +3,7 @@
 use nalgebra::{Matrix6, Vector2, Vector3};
 use numpy::{PyArray1, PyArray2};
 use pb3dp_cell::result_lines::EstimateLine;
+use pb3dp_cell::result_lines::millimetres::covariance_mm;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_estimation_core::estimate::PlaneEstimate;
 use pb3dp_geometry::Pose;
@@ -11,8 +12,8 @@ use pyo3::prelude::*;
 
 use crate::arrays;
 use crate::errors::OrRaise;
-
 use crate::wording::in_python;
+
 /// The pose of a region in one stereo pair, with its status and the reason for it.
 ///
 /// Frames: `cam_left` is the left camera (x to the right, y down, z forward). `model` is on the plane of the region: its origin on the ray of
@@ -25,19 +26,19 @@ pub struct Estimate {
     z_m: Option<f64>,
     cam_left_from_model: Option<Pose<CamLeft, Model>>,
     covariance: Option<Matrix6<f64>>,
+    calibration_covariance: Option<Matrix6<f64>>,
     cpu_millis: f64,
     pair_warning: Option<String>,
 }
 
 impl Estimate {
-    /// An estimate, with its depth on the ray of this pixel, or else of the centroid of its region.
+    /// An estimate, with its depth on the ray of a pixel; the share of the calibration in its covariance, and a warning about the pair.
     pub fn new(
         method: Method,
         (estimate, cpu_millis): (PlaneEstimate, f64),
-        at_px: Option<[f64; 2]>,
-        pair_warning: Option<String>,
+        (centroid_px, z_m): (Vector2<f64>, Option<f64>),
+        (calibration_covariance, pair_warning): (Option<Matrix6<f64>>, Option<String>),
     ) -> Self {
-        let (centroid_px, z_m) = estimate.point_at(at_px.map(Vector2::from));
         let frame = estimate.model_frame(&centroid_px);
         Self {
             method,
@@ -45,6 +46,7 @@ impl Estimate {
             z_m,
             cam_left_from_model: frame.map(|frame| frame.cam_left_from_model),
             covariance: frame.and_then(|frame| frame.covariance),
+            calibration_covariance,
             cpu_millis,
             pair_warning,
             estimate,
@@ -119,6 +121,13 @@ impl Estimate {
         arrays::covariance(py, self.covariance.as_ref())
     }
 
+    /// The share of the calibration in the covariance of the pose, 6x6 as `covariance`, in which it is not contained; None without a pose, or if
+    /// the calibration file states no covariance (`StereoRig.calibration_covariance`).
+    #[getter]
+    fn calibration_covariance<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
+        arrays::covariance(py, self.calibration_covariance.as_ref())
+    }
+
     /// Whether the images determine x, y, z and the turns about them (axes of `model`), or None if the method does not tell.
     #[getter]
     fn observed(&self) -> Option<[bool; 6]> {
@@ -166,7 +175,9 @@ impl Estimate {
     fn to_json(&self, py: Python<'_>, case: &str) -> PyResult<String> {
         let place = (self.centroid_px, self.z_m);
         let line = EstimateLine::of(case, self.method.name(), &self.estimate, place, self.cpu_millis);
-        serde_json::to_string(&EstimateLine { warnings: self.warnings_in_words(), ..line }).or_raise(py)
+        let calibration_covariance = self.calibration_covariance.as_ref().map(covariance_mm);
+        let line = EstimateLine { calibration_covariance, warnings: self.warnings_in_words(), ..line };
+        serde_json::to_string(&line).or_raise(py)
     }
 
     fn __repr__(&self) -> String {

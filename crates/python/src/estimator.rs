@@ -4,11 +4,16 @@ use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
 use anyhow::{Context, Result};
+use nalgebra::{Matrix6, Vector2};
+use pb3dp_cell::calibration_share::of_first;
+use pb3dp_estimation::calibration_term::CalibrationTerm;
 use pb3dp_estimation::estimator::{Estimator as Inner, Method};
 use pb3dp_estimation::pair_check::check_pair;
+use pb3dp_estimation_core::estimate::PlaneEstimate;
 use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::method::EstimateRequest;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::region::{Region as Marked, RegionConfig};
 use pb3dp_geometry::{ImageSize, StereoRig as Rig};
 use pb3dp_hal_platform::cpu_time::{timed, within};
 use pb3dp_record::value_range::ValueRange;
@@ -31,6 +36,8 @@ pub const SWAP: &str = "swap left and right";
 #[pyclass(frozen, module = "pb3dp")]
 pub struct Estimator {
     rig: Rig,
+    term: Option<CalibrationTerm>,
+    regions: RegionConfig,
     method: Method,
     range: SearchRange,
     state: Mutex<State>,
@@ -55,6 +62,20 @@ impl State {
         }
         self.is_checked = true;
         Ok(doubt)
+    }
+}
+
+impl Estimator {
+    /// The share of the calibration in the covariance of the model frame at a point of the left image.
+    fn calibration_share(
+        &self,
+        estimate: &PlaneEstimate,
+        at_px: &Vector2<f64>,
+        (region, left): (&Marked, ImageView<'_>),
+    ) -> Result<Option<Matrix6<f64>>> {
+        let (Some(term), Some(frame)) = (&self.term, estimate.model_frame(at_px)) else { return Ok(None) };
+        let outline_px = region.outline_px(&region.rasterize(left, &self.regions)?);
+        Ok(of_first(term, &self.rig, &frame.cam_left_from_model, &outline_px))
     }
 }
 
@@ -83,7 +104,14 @@ impl Estimator {
         let made = Settings::of(asked, rig.rig()).and_then(|settings| {
             let inner = Inner::new(settings.method, rig.rig(), &settings.config)?;
             let state = State { inner, value_range: settings.value_range, is_checked: false, is_measured: false };
-            Ok(Self { rig: *rig.rig(), method: settings.method, range: settings.range, state: Mutex::new(state) })
+            Ok(Self {
+                rig: *rig.rig(),
+                term: rig.term().cloned(),
+                regions: settings.config.published.region,
+                method: settings.method,
+                range: settings.range,
+                state: Mutex::new(state),
+            })
         });
         made.or_raise(py)
     }
@@ -117,7 +145,10 @@ impl Estimator {
                     let request = EstimateRequest::of_target(left, right, &region, &self.range);
                     state.inner.estimate(request.until(&mut may_continue))
                 });
-                Ok(Estimate::new(self.method, (estimate?, millis), centroid_px, warning))
+                let estimate = estimate?;
+                let place = estimate.point_at(centroid_px.map(Vector2::from));
+                let share = self.calibration_share(&estimate, &place.0, (&region, left))?;
+                Ok(Estimate::new(self.method, (estimate, millis), place, (share, warning)))
             });
             state.value_range = range;
             found

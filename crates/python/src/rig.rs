@@ -5,6 +5,8 @@ use std::path::PathBuf;
 use anyhow::anyhow;
 use nalgebra::Point3;
 use numpy::{PyArray1, PyArray2, PyReadonlyArray2};
+use pb3dp_cell::calibration_share::{not_reported, term_of};
+use pb3dp_estimation::calibration_term::CalibrationTerm;
 use pb3dp_geometry::{Camera, Distortion, ImageSize, StereoRig as Rig};
 use pb3dp_record::calibration_files::{StereoCalibration, load_stereo, load_stereo_for};
 use pyo3::prelude::*;
@@ -18,19 +20,35 @@ use crate::errors::OrRaise;
 #[pyclass(frozen, module = "pb3dp")]
 pub struct StereoRig {
     calibration: StereoCalibration,
+    /// The covariance of the calibration, if its file states one that fits the rig.
+    term: Option<CalibrationTerm>,
+    notes: Vec<String>,
 }
 
 impl StereoRig {
     /// A calibration from a recording.
     pub fn new(calibration: StereoCalibration) -> Self {
-        Self { calibration }
+        let mut notes = calibration.notes.clone();
+        let term = term_of(&calibration).unwrap_or_else(|error| {
+            notes.push(not_reported(&calibration.source, &error));
+            None
+        });
+        Self { calibration, term, notes }
     }
 
     /// The rig.
     pub fn rig(&self) -> &Rig {
         &self.calibration.rig
     }
+
+    /// Propagates the covariance of the calibration into poses.
+    pub fn term(&self) -> Option<&CalibrationTerm> {
+        self.term.as_ref()
+    }
 }
+
+/// Names and covariance of numbers.
+type NamedCovariance<'py> = (Vec<String>, Bound<'py, PyArray2<f64>>);
 
 #[pymethods]
 impl StereoRig {
@@ -45,7 +63,7 @@ impl StereoRig {
             Some((width, height)) => load_stereo_for(&paths, ImageSize { width, height }),
             None => load_stereo(&paths),
         });
-        Ok(Self { calibration: loaded.or_raise(py)? })
+        Ok(Self::new(loaded.or_raise(py)?))
     }
 
     /// Width and height of the left image, pixels.
@@ -112,6 +130,18 @@ impl StereoRig {
         arrays::matrix(py, 2, projected.collect())
     }
 
+    /// Names and covariance of the numbers of the calibration, or None: `left.fx` (pixels), `right.k1`, and `cam_right_from_cam_left.x_m` to
+    /// `rz_rad`; N names and N x N. TOML files of `pb3dp calibrate stereo` state it; estimates then have `calibration_covariance`.
+    #[getter]
+    fn calibration_covariance<'py>(&self, py: Python<'py>) -> PyResult<Option<NamedCovariance<'py>>> {
+        let Some(known) = self.calibration.judgement.as_ref().and_then(|judgement| judgement.covariance.as_ref())
+        else {
+            return Ok(None);
+        };
+        let matrix = arrays::matrix(py, known.names.len().max(1), known.rows.concat())?;
+        Ok(Some((known.names.clone(), matrix)))
+    }
+
     /// The format of the file, in words.
     #[getter]
     fn format(&self) -> String {
@@ -127,7 +157,7 @@ impl StereoRig {
     /// What the reader assumed or left out.
     #[getter]
     fn notes(&self) -> Vec<String> {
-        self.calibration.notes.clone()
+        self.notes.clone()
     }
 
     fn __repr__(&self) -> String {

@@ -158,7 +158,7 @@ impl RunPair {
     /// The estimate of the method that leads the hand. Its `cpu_ms` is the time on the wall.
     #[getter]
     fn estimate(&self) -> TrackEstimate {
-        TrackEstimate::new(self.seen.estimate.clone(), self.seen.latency_millis, None)
+        TrackEstimate::new(self.seen.estimate.clone(), self.seen.latency_millis)
     }
 
     /// True pose of the target at the exposure: 4x4, metres, or None.

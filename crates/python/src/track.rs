@@ -3,28 +3,36 @@
 use nalgebra::Vector2;
 use numpy::{PyArray1, PyArray2};
 use pb3dp_cell::result_lines::TrackLine;
+use pb3dp_cell::result_lines::millimetres::covariance_mm;
+use pb3dp_estimation::calibration_term::CalibrationShare;
 use pb3dp_estimation_core::estimate::TrackEstimate as Inner;
 use pyo3::prelude::*;
 
 use crate::arrays;
 use crate::errors::OrRaise;
+use crate::wording::in_python;
 
 /// The pose of a tracked target in one frame, with its status and the reason for it.
-use crate::wording::in_python;
 ///
 /// Frames: `cam_left` is the left camera (x to the right, y down, z forward). `model` is fixed to the target: in the first frame its origin is on
 /// the ray of the centroid of the region, z along the normal away from the camera, x along the rows of the image.
 #[pyclass(frozen, module = "pb3dp")]
 pub struct TrackEstimate {
     estimate: Inner,
+    share: Option<CalibrationShare>,
     cpu_millis: f64,
     pair_warning: Option<String>,
 }
 
 impl TrackEstimate {
     /// The result of one frame.
-    pub fn new(estimate: Inner, cpu_millis: f64, pair_warning: Option<String>) -> Self {
-        Self { estimate, cpu_millis, pair_warning }
+    pub fn new(estimate: Inner, cpu_millis: f64) -> Self {
+        Self { estimate, share: None, cpu_millis, pair_warning: None }
+    }
+
+    /// With the share of the calibration in its covariance, and a warning about the pair.
+    pub fn with(self, share: Option<CalibrationShare>, pair_warning: Option<String>) -> Self {
+        Self { share, pair_warning, ..self }
     }
 
     fn warnings_in_words(&self) -> Vec<String> {
@@ -77,6 +85,19 @@ impl TrackEstimate {
         arrays::covariance(py, self.estimate.covariance.as_ref())
     }
 
+    /// The share of the calibration in the covariance of the pose, 6x6 as `covariance`, in which it is not contained; None without a pose, or if
+    /// the calibration file states no covariance (`StereoRig.calibration_covariance`).
+    #[getter]
+    fn calibration_covariance<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
+        arrays::covariance(py, self.share.as_ref().map(|share| &share.pose))
+    }
+
+    /// The same for the motion since the first pose of the target: zero there, and small while the target is near it.
+    #[getter]
+    fn calibration_covariance_of_motion<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
+        arrays::covariance(py, self.share.as_ref().map(|share| &share.motion))
+    }
+
     /// Whether the images determine x, y, z and the turns about them (axes of `model`), or None if the method does not tell.
     #[getter]
     fn observed(&self) -> Option<[bool; 6]> {
@@ -106,7 +127,14 @@ impl TrackEstimate {
     #[pyo3(signature = (frame=0, t_s=0.0))]
     fn to_json(&self, py: Python<'_>, frame: usize, t_s: f64) -> PyResult<String> {
         let line = TrackLine::of(frame, t_s, &self.estimate, self.cpu_millis);
-        serde_json::to_string(&TrackLine { warnings: self.warnings_in_words(), ..line }).or_raise(py)
+        let share = self.share.as_ref();
+        let line = TrackLine {
+            calibration_covariance: share.map(|share| covariance_mm(&share.pose)),
+            calibration_covariance_of_motion: share.map(|share| covariance_mm(&share.motion)),
+            warnings: self.warnings_in_words(),
+            ..line
+        };
+        serde_json::to_string(&line).or_raise(py)
     }
 
     fn __repr__(&self) -> String {

@@ -5,6 +5,7 @@ use std::sync::{Mutex, PoisonError};
 
 use anyhow::Context;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
+use pb3dp_cell::calibration_share::TrackShares;
 use pb3dp_cell::follower::Follower;
 use pb3dp_estimation::estimator::{FramePrior, Method, Tracker as Inner};
 use pb3dp_estimation::pair_check::check_pair;
@@ -32,6 +33,7 @@ pub struct Tracker {
 
 struct State {
     follower: Follower,
+    shares: TrackShares,
     value_range: Option<ValueRange>,
     is_checked: bool,
     last_at: Option<MonotonicTime>,
@@ -60,7 +62,8 @@ impl Tracker {
         let made = Settings::of(asked, rig.rig()).and_then(|settings| {
             let tracker = Inner::new(settings.method, rig.rig(), &settings.config)?;
             let follower = Follower::new(tracker, settings.range);
-            let state = State { follower, value_range: settings.value_range, is_checked: false, last_at: None };
+            let shares = TrackShares::new(*rig.rig(), rig.term().cloned(), 1);
+            let state = State { follower, shares, value_range: settings.value_range, is_checked: false, last_at: None };
             Ok(Self { rig: *rig.rig(), method: settings.method, state: Mutex::new(state) })
         });
         made.or_raise(py)
@@ -111,7 +114,12 @@ impl Tracker {
                     let mut may_continue = within(deadline_ms);
                     state.follower.look(left, right, region.as_deref(), &prior, &mut may_continue)
                 });
-                Ok(TrackEstimate::new(estimate?, millis, warning))
+                let estimate = estimate?;
+                if region.is_some() {
+                    state.shares.restart(0);
+                }
+                let share = state.shares.share(0, &estimate);
+                Ok(TrackEstimate::new(estimate, millis).with(share, warning))
             });
             state.value_range = range;
             found

@@ -1,7 +1,6 @@
 //! The subcommands, one file each: arguments in, exit code out.
 
 pub mod attendance;
-pub mod calibration_share;
 pub mod cameras;
 pub mod completions;
 pub mod config;

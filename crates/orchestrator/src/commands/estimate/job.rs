@@ -6,6 +6,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use image::RgbImage;
 use nalgebra::Vector2;
+use pb3dp_cell::calibration_share::term_or_warning;
 use pb3dp_cell::search_range::{self, range_of_dataset};
 use pb3dp_estimation::calibration_term::CalibrationTerm;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
@@ -19,7 +20,6 @@ use pb3dp_setup::region_spec::load_region;
 use pb3dp_wiring::{ReplayPace, wire_replay};
 
 use crate::arguments::{EstimateArgs, MethodArgs};
-use crate::commands::calibration_share::term_of;
 
 /// Input of an estimate, in memory.
 pub struct Job {
@@ -62,7 +62,7 @@ impl Job {
             name: case.name.clone(),
             left: images.left,
             right: images.right,
-            calibration_term: term_of(&calibration),
+            calibration_term: term_or_warning(&calibration),
             rig: calibration.rig,
             calibration_files: vec![case.calibration.clone()],
             notes: calibration.notes,
@@ -87,7 +87,7 @@ impl Job {
         check_size(right_file, right.size(), (left.size(), &left_file.display().to_string()))?;
         let ([left, right], note) = StoredImage::to_rgb_pair([left, right], &mut args.recording.range.clone());
         check_sizes(&calibration.rig, &left, left_file, &calibration.source)?;
-        let calibration_term = term_of(&calibration);
+        let calibration_term = term_or_warning(&calibration);
         let mut notes = calibration.notes;
         notes.extend(note);
         let given = default_range(&calibration.rig, args.method.z_range.is_none(), &mut notes);
@@ -144,7 +144,7 @@ impl Job {
             left: pair.left,
             right: pair.right,
             rig,
-            calibration_term: term_of(recording.camera.calibration()),
+            calibration_term: term_or_warning(recording.camera.calibration()),
             calibration_files: args.calib.clone(),
             notes,
             region,

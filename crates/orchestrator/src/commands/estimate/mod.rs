@@ -10,6 +10,7 @@ use std::process::ExitCode;
 use anyhow::{Result, bail};
 use nalgebra::Vector2;
 use pb3dp_cell::annotation::{Annotation, annotate, polygon_px};
+use pb3dp_cell::calibration_share::of_first;
 use pb3dp_cell::result_lines::EstimateLine;
 use pb3dp_cell::result_lines::millimetres::covariance_mm;
 use pb3dp_cell::terminal::print_line;
@@ -30,7 +31,6 @@ use self::job::{Job, pair_name};
 use self::rigs::Rigs;
 use super::overlay_folder::{make_overlay_folder, report_overlay_folder};
 use crate::arguments::{EstimateArgs, UNSURE};
-use crate::commands::calibration_share::of_first;
 use crate::commands::pair::usable;
 use crate::progress::Progress;
 

@@ -10,6 +10,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use pb3dp_cell::calibration_share::{TrackShares, term_or_warning};
 use pb3dp_cell::result_lines::TrackLine;
 use pb3dp_cell::result_lines::millimetres::covariance_mm;
 use pb3dp_cell::terminal::print_line;
@@ -26,7 +27,6 @@ use self::output_file::check_writable;
 use self::overlays::Overlays;
 use self::walk::{Outcome, TargetResult, Walk};
 use crate::arguments::{TrackArgs, UNSURE};
-use crate::commands::calibration_share::TrackShares;
 use crate::progress::Progress;
 
 /// A replay does not wait for images: this time-out should never expire.
@@ -54,7 +54,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     }
     let rig = *recording.camera.rig();
     let mut walk = Walk::new(method, &rig, &recording, args)?;
-    let mut shares = TrackShares::new(recording.camera.calibration(), walk.targets().len());
+    let mut shares = TrackShares::new(rig, term_or_warning(recording.camera.calibration()), walk.targets().len());
     let mut csv = EstimateFiles::open(args.csv.as_deref(), walk.targets().len())?;
     let mut overlays = Overlays::open(&args.method)?;
     let mut pair = FramePair::black(rig.left().size());
