@@ -28,6 +28,7 @@ pub mod overlay;
 pub mod parquet_table;
 pub mod plain_zero;
 pub mod point_cloud;
+pub mod recorded_exposure;
 pub mod report;
 pub mod text_file;
 pub mod unique_json;

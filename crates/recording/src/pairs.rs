@@ -20,6 +20,7 @@ use pb3dp_kinematics::{Chain, JointVector};
 use pb3dp_record::calibration_files::{
     CAMERAS_FILE, CalibrationFileError, CameraIdentity, RosCameraInfo, cameras_text, json_text, ros_camera_infos,
 };
+use pb3dp_record::recorded_exposure::RecordedExposure;
 
 /// Frames of the cameras in transforms and headers.
 pub(crate) const CAMERAS: [&str; 2] = ["cam_left", "cam_right"];
@@ -135,14 +136,9 @@ impl PairRecording {
         let Some(exposure) = pair.exposure.filter(|exposure| self.exposure != Some(*exposure)) else { return };
         self.exposure = Some(exposure);
         let PairExposure { time, gain, changes, factor, is_settling } = exposure;
-        let gain = gain.map_or_else(|| "null".to_owned(), |gain| gain.to_string());
-        let data = format!(
-            "{{\"sequence\": {}, \"exposure_millis\": {}, \"gain\": {gain}, \"changes\": {changes}, \"factor\": {factor}, \"is_settling\": \
-             {is_settling}}}",
-            pair.sequence,
-            time.as_secs_f64() * 1e3
-        );
-        self.push(ours::EXPOSURE, pair.exposed_at, &Text { data });
+        let (sequence, exposure_millis) = (pair.sequence, time.as_secs_f64() * 1e3);
+        let recorded = RecordedExposure { sequence, exposure_millis, gain, changes, factor, is_settling };
+        self.push(ours::EXPOSURE, pair.exposed_at, &Text { data: recorded.text() });
     }
 
     /// Records an older pair on which the operator drew, without compression.

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use pb3dp_camera_v4l2::controls::{Control, is_automatic, moves_the_lens, unit_of};
 use pb3dp_camera_v4l2::video::ControlKind as DriverKind;
-use pb3dp_camera_v4l2::{ReopeningCamera, Side, StreamCounters};
+use pb3dp_camera_v4l2::{ExposureEvent, ReopeningCamera, Side, StreamCounters};
 use pb3dp_cell::camera_controls::{
     CameraControl, ControlDesk, ControlEnd, ControlKind, ControlMode, ControlRequest, ControlUnit, ImageLosses,
     MenuItem, PendingControl, control_desk,
@@ -122,9 +122,9 @@ impl ControlService {
     }
 }
 
-/// Logs what became of the exposure that the program controls; to be called after each pair.
-pub(super) fn log_exposure(camera: &mut ReopeningCamera) {
-    while let Some(event) = camera.take_exposure_event() {
+/// Logs what became of the exposure that the program controls, until `next` has no more; to be called after each pair.
+pub fn log_exposure(next: impl FnMut() -> Option<ExposureEvent>) {
+    for event in std::iter::from_fn(next) {
         if event.is_warning() {
             tracing::warn!("cameras: {event}");
         } else {
@@ -158,7 +158,7 @@ impl StereoCamera for BareCameras {
     fn next_pair_into(&mut self, pair: &mut FramePair, timeout: Duration) -> Result<(), CameraError> {
         self.service.serve(&mut self.camera);
         let outcome = self.camera.next_pair_into(pair, timeout);
-        log_exposure(&mut self.camera);
+        log_exposure(|| self.camera.take_exposure_event());
         self.service.note(&self.camera, &outcome);
         outcome
     }

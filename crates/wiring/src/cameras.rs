@@ -254,7 +254,7 @@ impl StereoCamera for WatchedCamera {
             service.serve(&mut self.camera);
         }
         let outcome = self.camera.next_pair_into(pair, timeout).and_then(|()| self.check_order(pair));
-        log_exposure(&mut self.camera);
+        log_exposure(|| self.camera.take_exposure_event());
         if let Some(service) = &mut self.service {
             service.note(&self.camera, &outcome);
         }

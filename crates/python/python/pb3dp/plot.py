@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 __all__ = ["show_pose", "show_track"]
 
 
-def _figure(**options: object) -> Figure:
+def _figure(size: tuple[float, float] | None = None) -> Figure:
     try:
         from matplotlib import pyplot
     except ImportError as error:
         raise Error("matplotlib is not installed: pip install pb3dp[plot]") from error
-    return pyplot.figure(layout="constrained", **options)
+    return pyplot.figure(figsize=size, layout="constrained")
 
 
 def show_pose(
@@ -66,7 +66,7 @@ def show_track(tracked: Sequence[TrackEstimate], times_s: npt.ArrayLike | None =
     Positions are along the axes of ``cam_left``, standard deviations along those of ``model``. Pairs whose status is not ``ok`` are shaded.
     Returns the figure of matplotlib.
     """
-    figure = _figure(figsize=(9.0, 8.0))
+    figure = _figure((9.0, 8.0))
     position, turn, sigma = figure.subplots(3, 1, sharex=True)
     times = np.arange(len(tracked)) if times_s is None else np.asarray(times_s)
     if times.shape != (len(tracked),):

@@ -25,6 +25,7 @@ use pb3dp_record::images::StoredFormat;
 use pb3dp_recording::pairs::is_file;
 use pb3dp_setup::region_spec::RegionSpec;
 use pb3dp_wiring::calibration::identity;
+use pb3dp_wiring::camera_controls::log_exposure;
 use serde::Serialize;
 
 use self::recorder::{Failure, Missing, Outcome, Plan, record};
@@ -193,13 +194,7 @@ impl StereoCamera for LoggedCamera {
 
     fn next_pair_into(&mut self, pair: &mut FramePair, timeout: Duration) -> Result<(), CameraError> {
         let outcome = self.camera.next_pair_into(pair, timeout);
-        while let Some(event) = self.camera.take_exposure_event() {
-            if event.is_warning() {
-                tracing::warn!("{event}");
-            } else {
-                tracing::info!("{event}");
-            }
-        }
+        log_exposure(|| self.camera.take_exposure_event());
         outcome
     }
 }
