@@ -55,6 +55,31 @@ fn conditions_that_hold_both_arms_are_those_of_arms_clock_and_operator() {
     assert_eq!(held, ["arm_disabled", "clock_stepped", "operator_silent", "joints_stale"]);
 }
 
+/// In every state, and without the operator: the condition itself inhibits the arms while it lasts.
+#[test]
+fn without_fresh_joints_of_either_arm_both_hold_until_they_are_fresh() {
+    let begin: [fn() -> Bench; 3] = [
+        || Bench::new(config()),
+        || {
+            let mut bench = Bench::new(config());
+            bench.say(OperatorCommand::Select);
+            bench
+        },
+        || Bench::following(config()),
+    ];
+    for (begin, arm) in begin.into_iter().flat_map(|begin| [(begin, 0), (begin, 1)]) {
+        let mut bench = begin();
+        bench.run(0.1);
+        let (state, stale_s) = (bench.state(), bench.now_s);
+        assert!(!bench.decision().no_arm_may_move, "{state:?}");
+        bench.lie(move |inputs| inputs.arms[arm].measured_at = Some(at(stale_s)));
+        bench.run(0.3);
+        assert!(bench.decision().no_arm_may_move, "{state:?}, arm {arm}");
+        bench.truth();
+        assert!(!bench.step().no_arm_may_move, "{state:?}, arm {arm}");
+    }
+}
+
 #[test]
 fn after_a_silence_or_a_clock_step_the_arm_with_the_target_waits_for_the_operator_too() {
     let mut bench = Bench::following(with(Condition::OperatorSilent, |policy| policy.action = Action::Hold));
