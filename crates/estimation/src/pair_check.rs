@@ -193,9 +193,8 @@ fn check_views(rig: &StereoRig, left: ImageView<'_>, right: ImageView<'_>) -> Pa
     if !fits(rig.left(), left) || !fits(rig.right(), right) || roll_deg(rig).abs() > ROLL_MAX_DEG {
         return PairCheck::unknown();
     }
-    let in_this_order = |left, right| {
-        matches_of(rig, left, right).map_or_else(PairCheck::unknown, |found| judge(&found))
-    };
+    let in_this_order =
+        |left, right| matches_of(rig, left, right).map_or_else(PairCheck::unknown, |found| judge(&found));
     let check = in_this_order(left, right);
     if check.verdict == PairVerdict::Consistent || left.dimensions() != right.dimensions() {
         return check;

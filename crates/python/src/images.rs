@@ -69,7 +69,8 @@ impl<'py> Given<'py> {
         }
         let Ok(array) = given.cast::<PyUntypedArray>() else {
             let is_path = given.is_instance_of::<PyString>() || given.hasattr("__fspath__").unwrap_or(false);
-            let remedy = if is_path { "read it by pb3dp.read_image(path)" } else { "give a numpy array of uint8 or uint16" };
+            let remedy =
+                if is_path { "read it by pb3dp.read_image(path)" } else { "give a numpy array of uint8 or uint16" };
             bail!("{name} is {}: {remedy}", of_type(given));
         };
         let remedy = "give uint8 or uint16; values from 0 to 1 become (255 * image).astype(numpy.uint8)";

@@ -251,7 +251,8 @@ impl Pairs {
                 *next - 1
             };
             let Some(&t_s) = recording.times_s.get(number) else { return Ok(None) };
-            let read = py.detach(|| recording.state.lock().unwrap_or_else(PoisonError::into_inner).pair_or_warn(number));
+            let read =
+                py.detach(|| recording.state.lock().unwrap_or_else(PoisonError::into_inner).pair_or_warn(number));
             if let Some(pair) = read {
                 return Pair::of(py, number, t_s, pair).map(Some);
             }

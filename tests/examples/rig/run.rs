@@ -90,7 +90,7 @@ fn select(person: &Client) -> Outcome {
     person.wait_for("a target that the hand can follow", |state| {
         state["state"]["name"] == "selecting" && state["state"]["is_ready"] == true
     });
-    Ok(told["why"].as_str().unwrap_or_default().to_owned())
+    Ok(format!("region {REGION}, {}", told["why"].as_str().unwrap_or_default()))
 }
 
 /// A command for the state as the script saw it; it must be accepted.
@@ -106,9 +106,9 @@ fn wait_for_state(person: &Client, name: &str) -> Value {
 
 fn follow(world: &World, person: &Client) -> Outcome {
     command(person, "start", json!({}))?;
-    wait_for_state(person, "tracking");
+    let tracking = wait_for_state(person, "tracking");
     std::thread::sleep(TRACKED);
-    place(world)
+    Ok(format!("{}; {}", tracking["why"]["line"].as_str().unwrap_or("tracking"), place(world)?))
 }
 
 /// True error of the hand.

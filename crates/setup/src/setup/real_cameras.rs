@@ -111,8 +111,15 @@ pub(super) fn load_calibration(files: &[PathBuf], size: ImageSize) -> Result<Ste
     let calibration = load_files(files, size).context("camera.calibration")?;
     let calibrated = calibration.rig.left().size();
     if calibrated != size {
+        let is_whole = |whole: ImageSize, view: ImageSize| {
+            [(2 * view.width, view.height), (view.width, 2 * view.height)].contains(&(whole.width, whole.height))
+        };
+        let remedy = match is_whole(size, calibrated) {
+            true => "camera.width_px and camera.height_px are those of one view, also of a device with both views",
+            false => "calibrate again in that size",
+        };
         bail!(
-            "camera.calibration: {} is for images of {}x{}, the cameras are asked for {}x{}: calibrate again in that size",
+            "camera.calibration: {} is for images of {}x{}, the cameras are asked for {}x{}: {remedy}",
             calibration.source,
             calibrated.width,
             calibrated.height,
@@ -565,5 +572,27 @@ impl SideSection {
             stamps: StampModel { readout: millis(self.readout_millis), delay: millis(self.stamp_delay_millis) },
             crop: None,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    /// The size of the whole image of a device with both views, in the place of that of one view.
+    #[test]
+    fn a_calibration_of_one_view_tells_which_size_is_meant() {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/calibration/nominal.json");
+        let refused = |width, height| {
+            let size = ImageSize { width, height };
+            format!("{:#}", load_calibration(std::slice::from_ref(&file), size).unwrap_err())
+        };
+        assert!(load_calibration(std::slice::from_ref(&file), ImageSize { width: 640, height: 480 }).is_ok());
+        for (width, height) in [(1280, 480), (640, 960)] {
+            assert!(refused(width, height).contains("those of one view"), "{}", refused(width, height));
+        }
+        assert!(refused(320, 240).contains("calibrate again in that size"), "{}", refused(320, 240));
     }
 }
