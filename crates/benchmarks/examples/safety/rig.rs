@@ -149,10 +149,8 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
     let outcome = tracing::subscriber::with_default(log.clone(), || course.run_in_lockstep(&mut watching, &mut faulty));
     let lead_s = (!scenario.disturbs_enabling()).then(|| watching.begin.seconds_since(watching.wired));
     let ended = outcome.err().map(|error| format!("{error:#}"));
-    if let Some(ended) = &ended {
-        // The program prints the failure that ends it.
-        log.push(ended.clone());
-    }
+    // The program prints the failure that ends it.
+    ended.iter().for_each(|ended| log.push(ended.clone()));
     let log = log.take(watching.begin);
     Ok(afterwards(scenario, (lead_s, log), (&clock, &recorder), ended))
 }
