@@ -90,7 +90,7 @@ fn select(person: &Client) -> Outcome {
     person.wait_for("a target that the hand can follow", |state| {
         state["state"]["name"] == "selecting" && state["state"]["is_ready"] == true
     });
-    Ok(format!("region {REGION}, {}", told["why"].as_str().unwrap_or_default()))
+    Ok(format!("region {REGION} {}", told["why"].as_str().unwrap_or_default()).trim_end().to_owned())
 }
 
 /// A command for the state as the script saw it; it must be accepted.
