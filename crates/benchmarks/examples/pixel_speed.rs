@@ -25,8 +25,9 @@ const IMAGES: usize = 401;
 /// Limit for one `YUYV` image: half a per cent of the frame period.
 const YUYV_MILLIS_MAX: f64 = 0.15;
 
-/// Limit for a Bayer pair: 3 % of the frame period at 30 Hz. Code that compilers do not vectorise takes six times as long.
-const BAYER_MILLIS_MAX: f64 = 1.0;
+/// Longest time of a Bayer pair, as a multiple of that of a `GREY` pair in the same run: it is 2.6, and 30 if the compiler does not
+/// vectorise the code.
+const BAYER_TO_GREY_MAX: f64 = 5.0;
 
 fn main() -> ExitCode {
     println!("| format | kernels | ms per image of 640x480 (median of {IMAGES}) |");
@@ -44,20 +45,19 @@ fn main() -> ExitCode {
         "| format | layout | bytes of a pair | ms per pair | with the copy for a recording | copy of the bytes | ratio |"
     );
     println!("|---|---|---|---|---|---|---|");
-    let mut is_slow = false;
-    for format in PixelFormat::ALL {
-        let pair = pair_row(format);
-        is_slow |=
-            matches!(format, PixelFormat::Bayer8(_)) && exceeds(&format!("a {format} pair"), pair, BAYER_MILLIS_MAX);
+    let pairs: Vec<_> = PixelFormat::ALL.into_iter().map(|format| (format, pair_row(format))).collect();
+    let grey = pairs.iter().find(|(format, _)| *format == PixelFormat::Grey).map_or(f64::NAN, |(_, millis)| *millis);
+    let mut is_slow = exceeds("YUYV", best, YUYV_MILLIS_MAX);
+    for (format, millis) in pairs.iter().filter(|(format, _)| matches!(format, PixelFormat::Bayer8(_))) {
+        is_slow |= exceeds(&format!("a {format} pair"), *millis, BAYER_TO_GREY_MAX * grey);
     }
-    is_slow |= exceeds("YUYV", best, YUYV_MILLIS_MAX);
     if is_slow { ExitCode::FAILURE } else { ExitCode::SUCCESS }
 }
 
 /// Prints a time above its limit.
 fn exceeds(what: &str, millis: f64, millis_max: f64) -> bool {
     if millis > millis_max {
-        println!("{what} takes {millis:.3} ms; the limit is {millis_max} ms");
+        println!("{what} takes {millis:.3} ms; the limit is {millis_max:.3} ms");
     }
     millis > millis_max
 }

@@ -377,37 +377,6 @@ fn limited_mock_arm_keeps_the_contract() {
     assert_contract(&clock, make, |limiter| limiter.arm());
 }
 
-/// Any command may be the last one: the arm goes on with it until its time-out, and brakes only then.
-#[test]
-fn a_joint_stays_in_its_range_wherever_the_commands_end() {
-    for (joint, side) in [(0, 1.0), (1, -1.0), (3, 1.0)] {
-        let end_rad = operating_range_rad()[joint];
-        for count in 20..120 {
-            let clock = Arc::new(VirtualClock::new());
-            let mut start = JointVector::zeros();
-            start[joint] = side * (end_rad - 0.35);
-            let mut arm = mock_arm(&clock, start);
-            arm.enable().unwrap();
-            let shared = Arc::clone(&clock) as Arc<dyn Clock>;
-            let mut limiter = Limiter::new(arm, limits(0.6), limiter_config(), shared).unwrap();
-            limiter.exchange(JointCommand::Hold).unwrap();
-            for _ in 0..count {
-                limiter.exchange(velocity(joint, side * 10.0)).unwrap();
-                clock.sleep_until(clock.now() + CYCLE);
-            }
-            clock.sleep_until(clock.now() + Duration::from_secs(1));
-            let plant = limiter.arm().plant();
-            let mut plant = plant.lock().unwrap();
-            plant.advance_to(clock.now());
-            let reached_rad = side * plant.state().position_rad[joint];
-            assert!(
-                reached_rad <= end_rad + 1e-4,
-                "joint {joint}, {count} commands: {reached_rad}, the end is at {end_rad}"
-            );
-        }
-    }
-}
-
 /// Behaviour of a caller, or of the link behind the limiter, for some cycles.
 #[derive(Clone, Debug)]
 enum Action {

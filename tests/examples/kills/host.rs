@@ -1,15 +1,15 @@
 //! `pb3dp run` with a terminal, at which an operator types.
 
 use std::fs::File;
-use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use std::sync::mpsc::{Receiver, channel};
+use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail, ensure};
 use pb3dp_hal_platform::pty::Pty;
 use pb3dp_hal_platform::transport::ByteLink as _;
+use pb3dp_test_support::program_lines;
 
 use crate::files::Files;
 
@@ -38,7 +38,7 @@ impl Host {
         command.arg("--out").arg(files.path("out")).current_dir(files.path("."));
         let mut program = command.stdin(input).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn()?;
         let (Some(answers), Some(log)) = (program.stdout.take(), program.stderr.take()) else { bail!("no pipes") };
-        Ok(Self { program, terminal, written: [lines(answers), lines(log)], seen: Vec::new() })
+        Ok(Self { program, terminal, written: [program_lines(answers), program_lines(log)], seen: Vec::new() })
     }
 
     /// Types a line.
@@ -106,17 +106,4 @@ impl Drop for Host {
     fn drop(&mut self) {
         self.kill();
     }
-}
-
-/// Lines of a program, as they arrive.
-fn lines(input: impl Read + Send + 'static) -> Receiver<String> {
-    let (sender, lines) = channel();
-    std::thread::spawn(move || {
-        for line in BufReader::new(input).lines().map_while(Result::ok) {
-            if sender.send(line).is_err() {
-                return;
-            }
-        }
-    });
-    lines
 }

@@ -9,11 +9,10 @@ use pb3dp_geometry::{Pose, so3};
 use pb3dp_hal_platform::pty::Pty;
 use pb3dp_hal_platform::transport::ByteLink as _;
 use pb3dp_record::stops::{ArmOfPoses, WantedPoses, save_poses};
-use pb3dp_test_support::programs_in_real_time_beside_others;
+use pb3dp_test_support::{program_lines, programs_in_real_time_beside_others};
 use rustix::termios::{LocalModes, OptionalActions, tcgetattr, tcsetattr};
 
 use crate::real_time::arm::{Cell, START_DEG};
-use crate::real_time::operator::lines;
 
 /// A jog of 17 s.
 const JOG: [&str; 7] = ["arm", "jog", "--arm", "vs", "--axis", "4", "--by=-20"];
@@ -56,7 +55,7 @@ impl Moving {
         command.arg("--move").arg("--out").arg(cell.folder.path().join("out"));
         command.stdin(input).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut program = command.spawn().unwrap();
-        let written = [lines(program.stdout.take().unwrap()), lines(program.stderr.take().unwrap())];
+        let written = [program_lines(program.stdout.take().unwrap()), program_lines(program.stderr.take().unwrap())];
         let mut moving = Self { program, terminal: Some(terminal), seen: Vec::new(), written };
         moving.wait_for("ype vs-robot");
         // What was typed before the prompt does not count.

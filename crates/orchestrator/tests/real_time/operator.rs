@@ -1,29 +1,15 @@
 //! Who may command arms that are not emulated, and what becomes of them when nobody is there.
 
 use std::fs::File;
-use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
-use std::sync::mpsc::{Receiver, channel};
+use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
 use pb3dp_hal_platform::pty::Pty;
 use pb3dp_hal_platform::transport::ByteLink as _;
-use pb3dp_test_support::programs_in_real_time_beside_others;
+use pb3dp_test_support::{program_lines, programs_in_real_time_beside_others};
 
 use crate::real_time::arm::{Cell, FIRST_RUN, START_DEG, hil};
-
-/// Lines of a program, as they arrive.
-pub fn lines(input: impl std::io::Read + Send + 'static) -> Receiver<String> {
-    let (sender, lines) = channel();
-    std::thread::spawn(move || {
-        for line in BufReader::new(input).lines().map_while(Result::ok) {
-            if sender.send(line).is_err() {
-                return;
-            }
-        }
-    });
-    lines
-}
 
 /// A run whose standard input is a terminal.
 struct Led {
@@ -42,7 +28,8 @@ impl Led {
         command.args(["--operator", "console"]).args(FIRST_RUN).args(settings);
         command.stdin(File::open(terminal.path()).unwrap()).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut program = command.spawn().unwrap();
-        let (answers, log) = (lines(program.stdout.take().unwrap()), lines(program.stderr.take().unwrap()));
+        let (answers, log) =
+            (program_lines(program.stdout.take().unwrap()), program_lines(program.stderr.take().unwrap()));
         Self { program, terminal, answers, log, seen: Vec::new() }
     }
 
@@ -109,7 +96,8 @@ fn a_name_typed_before_the_prompt_moves_nothing() {
             .stderr(Stdio::piped())
             .spawn()
             .unwrap();
-        let (answers, log) = (lines(program.stdout.take().unwrap()), lines(program.stderr.take().unwrap()));
+        let (answers, log) =
+            (program_lines(program.stdout.take().unwrap()), program_lines(program.stderr.take().unwrap()));
         let within = Duration::from_secs(60);
         while !answers.recv_timeout(within).unwrap().contains("Type vs-robot to move it") {}
         assert!(answers.recv_timeout(Duration::from_secs(2)).is_err(), "it waits for a name");
