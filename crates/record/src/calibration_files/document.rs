@@ -32,6 +32,12 @@ impl Document {
     /// Reads and parses a file: JSON or TOML by its extension, otherwise YAML.
     pub(super) fn read(file: &Path) -> Result<Self, CalibrationFileError> {
         let refuse = |reason: String| CalibrationFileError::Read { file: file.to_path_buf(), reason };
+        if !file.exists() {
+            return Err(refuse(
+                "it does not exist; give the path of a calibration, or write one with `pb3dp calibrate stereo`"
+                    .to_owned(),
+            ));
+        }
         if file.is_dir() {
             return Err(refuse("it is a directory".to_owned()));
         }

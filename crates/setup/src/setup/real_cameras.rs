@@ -523,7 +523,9 @@ impl SideSection {
         check.number(&format!("{key}.readout_millis"), self.readout_millis, 0.0..=TIME_MAX_MILLIS);
         check.number(&format!("{key}.stamp_delay_millis"), self.stamp_delay_millis, 0.0..=TIME_MAX_MILLIS);
         let Some(device) = &self.device else {
-            check.refuse(format!("{key}.device: missing; the setup must state it"));
+            let unless =
+                if key == "camera.right" { ", unless camera.layout says how one device has both views" } else { "" };
+            check.refuse(format!("{key}.device: missing; the setup must state it{unless}"));
             return None;
         };
         let name: Result<CameraName, _> = device.parse();
