@@ -65,6 +65,24 @@ def test_an_estimate_of_image_files_with_a_rectangle():
     assert without_time(estimate.to_json(line["case"])) == line
 
 
+def test_the_visible_surface_of_a_region(tmp_path):
+    folder = CASES[1]
+    files = [folder / name for name in ("left.png", "right.png")]
+    rig = pb3dp.StereoRig.load(folder / "calib.json")
+    estimator = pb3dp.Estimator(rig, z_range_m=(350 * 1e-3, 800 * 1e-3))
+    left, right = map(pb3dp.read_image, files)
+    positions, sigmas, colours = estimator.visible_surface(left, right, pb3dp.Region.parse("rect:150,120,90,80"))
+    cloud = tmp_path / "cloud.ply"
+    lines("estimate", "--left", files[0], "--right", files[1], "--calib", folder / "calib.json", "--region", "rect:150,120,90,80",
+          "--z-range", "350,800", "--surface", cloud, "--json")
+    _, stored = cloud.read_bytes().split(b"end_header\n", 1)
+    stored = np.frombuffer(stored, [("xyz", "<f4", 3), ("sigma", "<f4"), ("rgb", "u1", 3)])
+    assert 6000 < len(stored) == len(positions)
+    assert np.array_equal(stored["xyz"], (1e3 * positions).astype(np.float32))
+    assert np.array_equal(stored["sigma"], (1e3 * sigmas).astype(np.float32))
+    assert np.array_equal(stored["rgb"], colours)
+
+
 @pytest.mark.parametrize("method", ["direct", "published"])
 def test_a_tracked_recording(recorded, method):
     recording = pb3dp.Recording(recorded / "run.mcap")
@@ -77,8 +95,9 @@ def test_a_tracked_recording(recorded, method):
         assert without_time(estimate.to_json(pair.index, pair.t_s)) == line
         if line["cam_left_from_model"] is not None:
             assert bits(line["cam_left_from_model"], estimate.cam_left_from_model)
-    positions, normals, colours = tracker.surface()
+    positions, normals, sigmas, colours = tracker.surface()
     assert positions.shape == normals.shape == colours.shape and colours.dtype == np.uint8
+    assert sigmas.shape == (len(positions),) and np.all(sigmas > 0.0)
     assert (len(positions) > 100) == (method == "direct")
 
 

@@ -2,7 +2,7 @@
 
 use std::fmt::Debug;
 
-use nalgebra::{Point3, UnitQuaternion, Vector3};
+use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
 
@@ -210,6 +210,16 @@ pub trait EstimationMethod: Debug + Send {
     fn surface(&self) -> Vec<SurfacePoint> {
         Vec::new()
     }
+
+    /// The visible surface of a marked region in one pair, pixel by pixel, for objects that are no plane. Takes some milliseconds more than
+    /// an estimate. Empty for methods that find planes only, and if the right image shows none of the range.
+    ///
+    /// # Errors
+    /// As [`Self::estimate`].
+    fn visible_surface(&mut self, request: &EstimateRequest<'_>) -> Result<Vec<VisiblePoint>, EstimationError> {
+        let _ = request;
+        Ok(Vec::new())
+    }
 }
 
 /// An estimate that can be marked as stopped by the deadline.
@@ -238,6 +248,22 @@ pub struct SurfacePoint {
     pub position_in_model_m: Point3<f64>,
     /// Unit normal in `model`, towards the camera of the first frame.
     pub normal_in_model: Vector3<f64>,
+    /// Standard deviation along the ray of the first left image, relative to the plane of the target, metres. Those of neighbours are not
+    /// independent.
+    pub sigma_m: f64,
     /// Red, green, blue in the first left image, 0 to 255.
+    pub rgb: [u8; 3],
+}
+
+/// A point of the visible surface of a region, from one pair.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VisiblePoint {
+    /// Where the left image shows it, pixels of the raw image.
+    pub pixel_px: Vector2<f64>,
+    /// Position in `cam_left`, metres.
+    pub position_in_cam_left_m: Point3<f64>,
+    /// Standard deviation along the ray of the pixel, metres. Those of neighbours are not independent.
+    pub sigma_m: f64,
+    /// Red, green, blue in the left image, 0 to 255.
     pub rgb: [u8; 3],
 }

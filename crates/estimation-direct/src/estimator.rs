@@ -1,11 +1,11 @@
 //! The direct method on single pairs.
 
-use nalgebra::{Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix3, Point3, Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose, SecondPlane};
 use pb3dp_estimation_core::image_view::ImageView;
-use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, MarkedTarget};
+use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, MarkedTarget, VisiblePoint};
 use pb3dp_estimation_core::plane_hypothesis::{PlaneHypothesis, SearchRange};
 use pb3dp_estimation_core::region::{RegionConfig, RegionMask};
 use pb3dp_estimation_core::status::Status;
@@ -17,8 +17,9 @@ use super::directions::tell;
 use super::disparity_plane::{DisparityPlane, DisparityRange, RectifiedGeometry, inverse_depth_from_disparity};
 use super::final_plane::final_plane;
 use super::front_end::StereoFrontEnd;
-use super::region_pyramid::PyramidSource;
+use super::region_pyramid::{PyramidSource, RegionPyramid};
 use super::row_measurement::measure_rows;
+use super::shape::{self, ShapePixel};
 use super::tilt_limits::TiltLimits;
 use super::verdict::{
     DirectVerdictConfig, SAME_IMAGE, Searched, Steeper, is_no_plane, judge, lies_beyond, may_be_unseen, nothing_found,
@@ -278,6 +279,44 @@ impl DirectEstimator {
         Ok(estimate)
     }
 
+    fn visible(&mut self, request: &EstimateRequest<'_>) -> Result<Vec<VisiblePoint>, EstimationError> {
+        let MarkedTarget { region, range } = request.marked()?;
+        let EstimateRequest { left, right, .. } = *request;
+        range.validate()?;
+        self.front_end.check(left, right)?;
+        region.rasterize_into(left, &self.config.region, &mut self.mask)?;
+        let view = self.view(&self.mask.centroid_px().unwrap_or_default())?;
+        let disparity_px = disparity_range(&view, range);
+        let source = PyramidSource {
+            left,
+            right,
+            region: self.front_end.rectified_region(&self.mask, &mut self.rectified)?,
+            disparity_px,
+            rows: self.front_end.rows_of_whole(&self.rows),
+            wanted: Wanted::Luminance,
+            search_area_px: shape::AREA_MAX_PX,
+        };
+        let mut pyramid = RegionPyramid::default();
+        if !pyramid.update(&self.front_end, &source) {
+            return Ok(Vec::new());
+        }
+        let search = &self.config.cold_start.search;
+        let pixels = shape::shape_of(&pyramid, disparity_px, search, self.front_end.kernels());
+        let camera = self.front_end.raw_rig().left();
+        let point = |pixel: &ShapePixel| {
+            let z_m = view.geometry.depth_m(pixel.disparity_px)?;
+            let ray = view.turn * view.geometry.left_ray(&pixel.at_px);
+            let position_in_cam_left_m = Point3::from(ray * z_m);
+            let pixel_px = camera.project(&position_in_cam_left_m)?;
+            let [u, v] = [pixel_px.x, pixel_px.y].map(|x| x.round());
+            let is_inside = u >= 0.0 && v >= 0.0 && u < f64::from(left.width()) && v < f64::from(left.height());
+            let sigma_m = z_m * z_m / view.geometry.focal_baseline_px_m() * pixel.sigma_px * ray.norm();
+            let rgb = is_inside.then(|| left.get_pixel(u as u32, v as u32).0)?;
+            Some(VisiblePoint { pixel_px, position_in_cam_left_m, sigma_m, rgb })
+        };
+        Ok(pixels.iter().filter_map(point).collect())
+    }
+
     fn blank(&self, centroid_px: Vector2<f64>) -> PlaneEstimate {
         let left_camera = *self.front_end.raw_rig().left();
         PlaneEstimate::without_pose(Status::NotObservable, String::new(), centroid_px, left_camera)
@@ -316,6 +355,10 @@ impl EstimationMethod for DirectEstimator {
 
     fn use_rows(&mut self, measured: &RowMeasurement) {
         self.set_rows(measured.rows);
+    }
+
+    fn visible_surface(&mut self, request: &EstimateRequest<'_>) -> Result<Vec<VisiblePoint>, EstimationError> {
+        self.visible(request)
     }
 }
 

@@ -29,6 +29,7 @@ mod resample;
 pub mod row_measurement;
 mod row_shift;
 pub mod search;
+mod shape;
 pub mod surface_choice;
 mod surroundings;
 mod tilt_limits;

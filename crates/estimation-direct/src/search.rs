@@ -114,7 +114,23 @@ pub struct PlaneSearch {
     pub valid_share: f64,
 }
 
+/// The disparities of all pixels of a box around the region.
+#[derive(Clone, Copy, Debug)]
+pub struct Disparities<'a> {
+    /// The box, pixels of the left window.
+    pub area: LevelBox,
+    /// Added to a disparity it gives that of the level.
+    pub first: i32,
+    /// Row by row, pixels of the level; NaN where there is no clear one.
+    pub values: &'a [f32],
+}
+
 impl PlaneSearch {
+    /// The disparities of the last search.
+    pub fn disparities(&self) -> Disparities<'_> {
+        Disparities { area: self.volume.area, first: self.volume.first, values: &self.aggregation.disparity }
+    }
+
     /// Searches the disparities `range_px` (full size) on `level`. `allowed` checks a plane's tilt against the range.
     pub fn run(
         &mut self,

@@ -388,10 +388,24 @@ impl Shape {
         &self.grid.plane
     }
 
+    /// Standard deviation of the disparity of each group of points, pixels.
+    pub(super) fn sigmas_px(&self) -> Vec<f64> {
+        let n = self.count();
+        let sigma = |shares: &Vec<(usize, f64)>| {
+            let mut weights = vec![0.0; n];
+            shares.iter().for_each(|&(node, share)| weights[node] += share);
+            // With L L' the information, |L^-1 w|^2 is the variance of w' d.
+            solve_lower(&self.factor, n, &mut weights);
+            weights.iter().map(|x| x * x).sum::<f64>().sqrt()
+        };
+        self.grid.shares.iter().map(sigma).collect()
+    }
+
     /// Deviation of a node from a plane, pixels.
     pub(super) fn beyond(&self, node: usize, plane: &Vector3<f64>) -> f64 {
         self.mean[node] - self.grid.plane[node].dot(plane)
     }
+
     /// Root mean square of the last motion of the nodes, pixels.
     pub(super) fn moved_px(&self) -> f64 {
         let squares = self.mean.iter().zip(&self.before).map(|(now, before)| (now - before).powi(2));

@@ -217,8 +217,13 @@ impl Target {
     /// The points of the surface, with their colours in the first view.
     pub(super) fn surface_points(&self) -> Vec<SurfacePoint> {
         let (groups, view) = (&self.surface.levels[0].groups, &self.views[0].levels[0]);
-        let lanes = groups.iter().zip(view).flat_map(|(group, view)| {
-            (0..LANES).filter(|&i| group.mask.0[i] > 0.0).map(move |i| surface_point(group, view, i))
+        let sigmas_px = self.surface.shape.sigmas_px();
+        let first_from_model = self.surface.model_from_first.inverse();
+        let lanes = groups.iter().zip(view).zip(&sigmas_px).flat_map(|((group, view), sigma_px)| {
+            let sigma_inverse = sigma_px * self.surface.relief.inverse_depth_per_px();
+            (0..LANES)
+                .filter(|&i| group.mask.0[i] > 0.0)
+                .map(move |i| surface_point(group, view, i, &first_from_model, sigma_inverse))
         });
         lanes.collect()
     }

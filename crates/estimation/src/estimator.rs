@@ -11,7 +11,9 @@ use pb3dp_estimation_published::estimator::PublishedConfig;
 use pb3dp_estimation_track::DirectTrackerConfig;
 use pb3dp_geometry::StereoRig;
 
-pub use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, FramePrior, MarkedTarget, SurfacePoint};
+pub use pb3dp_estimation_core::method::{
+    EstimateRequest, EstimationMethod, FramePrior, MarkedTarget, SurfacePoint, VisiblePoint,
+};
 pub use pb3dp_estimation_core::row_offset::RowMeasurement;
 pub use pb3dp_estimation_published::estimator::{PublishedEstimator, PublishedTracker};
 pub use pb3dp_estimation_track::DirectTracker;
@@ -135,6 +137,14 @@ impl Estimator {
     /// See [`EstimationMethod::estimate`].
     pub fn estimate(&mut self, request: EstimateRequest<'_>) -> Result<PlaneEstimate, EstimationError> {
         self.inner.estimate(request)
+    }
+
+    /// The visible surface of a region, see [`EstimationMethod::visible_surface`].
+    ///
+    /// # Errors
+    /// See [`EstimationMethod::visible_surface`].
+    pub fn visible_surface(&mut self, request: &EstimateRequest<'_>) -> Result<Vec<VisiblePoint>, EstimationError> {
+        self.inner.visible_surface(request)
     }
 
     /// Switches to another rig, see [`EstimationMethod::set_rig`].

@@ -4,7 +4,7 @@
 use image::RgbImage;
 use nalgebra::Vector3;
 use pb3dp_estimation_core::estimate::{EstimateWarning, TrackEstimate};
-use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, FramePrior};
+use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, FramePrior, SurfacePoint};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::rng::SplitMix64;
 use pb3dp_estimation_core::status::Status;
@@ -305,6 +305,16 @@ fn a_cold_start_needs_no_plane() {
         assert!(point.normal_in_model.z < -0.99, "{}", point.normal_in_model);
         assert!(point.rgb.iter().all(|&c| (20..=240).contains(&c)), "{:?}", point.rgb);
     }
+    // Against the true disc; the surface has a few degrees of freedom, so that its points are right or wrong together.
+    let off = |point: &SurfacePoint| {
+        let at = found.transform_point(&point.position_in_model_m);
+        let normal = first.transform_vector(&Vector3::z());
+        let true_share = normal.dot(&first.translation_m()) / normal.dot(&at.coords);
+        (true_share - 1.0).abs() * at.coords.norm() / point.sigma_m
+    };
+    let rms = (surface.iter().map(|point| off(point).powi(2)).sum::<f64>() / surface.len() as f64).sqrt();
+    println!("depth errors of {rms:.2} standard deviations, of {:.4} mm", 1e3 * surface[0].sigma_m);
+    assert!((0.1..2.5).contains(&rms), "{rms} standard deviations");
 }
 
 #[test]

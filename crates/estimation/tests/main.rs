@@ -34,3 +34,4 @@ mod rig_plan;
 mod robustness;
 mod small_targets;
 mod track_no_surface;
+mod visible_surface;

@@ -168,6 +168,10 @@ pub struct EstimateArgs {
     /// Also search every hypothesis that a chromosome can express, so that search error and fitness error can be distinguished (slow; --method published only).
     #[arg(long)]
     pub reference_optimum: bool,
+    /// Write the visible surface of the region, pixel by pixel, with its colours and standard deviations into this PLY file, in the
+    /// frame of the left camera (direct only): for objects that are no plane.
+    #[arg(long, value_name = "FILE", conflicts_with = "cases")]
+    pub surface: Option<PathBuf>,
     /// Estimation options.
     #[command(flatten)]
     pub method: MethodArgs,
@@ -208,7 +212,7 @@ pub struct TrackArgs {
     /// Targets in the left image of frame 0, in addition to that of the recording.
     #[arg(long, value_name = "REGION", help = format!("A target in the left image of frame 0, in addition to that of the recording if it has one; may be repeated: {REGION_HELP}"))]
     pub region: Vec<RegionSpec>,
-    /// Write the recovered surface with its colours into this PLY file, in the model frame (direct only).
+    /// Write the recovered surface with its colours and standard deviations into this PLY file, in the model frame (direct only).
     #[arg(long, value_name = "FILE")]
     pub surface: Option<PathBuf>,
     /// Write the estimates into this CSV file, with the columns of estimates.csv of a run; `age_ms` is empty. With several targets

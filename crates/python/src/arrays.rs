@@ -20,6 +20,13 @@ pub fn matrix(py: Python<'_>, columns: usize, row_by_row: Vec<f64>) -> PyResult<
     PyArray1::from_vec(py, row_by_row).reshape([rows, columns])
 }
 
+/// Colours, N x 3.
+pub fn colours(py: Python<'_>, points: impl Iterator<Item = [u8; 3]>) -> PyResult<Bound<'_, PyArray2<u8>>> {
+    let flat: Vec<u8> = points.flatten().collect();
+    let rows = flat.len() / 3;
+    PyArray1::from_vec(py, flat).reshape([rows, 3])
+}
+
 /// The 16 numbers of a homogeneous matrix, row by row, translation in metres.
 pub fn homogeneous<A: Frame, B: Frame>(pose: &Pose<A, B>) -> [f64; 16] {
     let m = pose.to_homogeneous();

@@ -5,6 +5,7 @@ use std::sync::{Mutex, PoisonError};
 
 use anyhow::{Context, Result};
 use nalgebra::{Matrix6, Vector2};
+use numpy::{PyArray1, PyArray2};
 use pb3dp_cell::calibration_share::of_first;
 use pb3dp_estimation::calibration_term::CalibrationTerm;
 use pb3dp_estimation::estimator::{Estimator as Inner, Method};
@@ -19,6 +20,7 @@ use pb3dp_hal_platform::cpu_time::{timed, within};
 use pb3dp_record::value_range::ValueRange;
 use pyo3::prelude::*;
 
+use crate::arrays;
 use crate::errors::OrRaise;
 use crate::estimate::Estimate;
 use crate::images::{Given, with_views};
@@ -66,6 +68,32 @@ impl State {
 }
 
 impl Estimator {
+    /// Works on a pair without the lock of the interpreter, with a doubt about the calibration as the last argument.
+    fn on_pair<T: Send>(
+        &self,
+        py: Python<'_>,
+        images: [&Bound<'_, PyAny>; 2],
+        region: &Bound<'_, PyAny>,
+        work: impl FnOnce(&mut State, ImageView<'_>, ImageView<'_>, &Marked, Option<String>) -> Result<T> + Send,
+    ) -> PyResult<T> {
+        let region = Region::of(region).or_raise(py)?.get();
+        let [left, right] = images;
+        let given = Given::of("left", left).and_then(|left| Ok([left, Given::of("right", right)?])).or_raise(py)?;
+        let pixels = given[0].pixels("left").and_then(|left| Ok([left, given[1].pixels("right")?])).or_raise(py)?;
+        let done = py.detach(|| {
+            let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut range = state.value_range;
+            let done = with_views(pixels, &mut range, |left, right| {
+                let warning = state.prepare(&self.rig, left, right)?;
+                let region = region.in_images(ImageSize { width: left.width(), height: left.height() })?;
+                work(&mut state, left, right, &region, warning)
+            });
+            state.value_range = range;
+            done
+        });
+        done.or_raise(py)
+    }
+
     /// The share of the calibration in the covariance of the model frame at a point of the left image.
     fn calibration_share(
         &self,
@@ -78,6 +106,9 @@ impl Estimator {
         Ok(of_first(term, &self.rig, &frame.cam_left_from_model, &outline_px))
     }
 }
+
+/// Positions, standard deviations and colours of points.
+type Visible<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray2<u8>>);
 
 #[pymethods]
 impl Estimator {
@@ -132,29 +163,39 @@ impl Estimator {
         centroid_px: Option<[f64; 2]>,
         deadline_ms: Option<f64>,
     ) -> PyResult<Estimate> {
-        let region = Region::of(region).or_raise(py)?.get();
-        let given = Given::of("left", left).and_then(|left| Ok([left, Given::of("right", right)?])).or_raise(py)?;
-        let pixels = given[0].pixels("left").and_then(|left| Ok([left, given[1].pixels("right")?])).or_raise(py)?;
-        let estimated = py.detach(|| {
-            let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-            let mut range = state.value_range;
-            let found = with_views(pixels, &mut range, |left, right| {
-                let warning = state.prepare(&self.rig, left, right)?;
-                let region = region.in_images(ImageSize { width: left.width(), height: left.height() })?;
-                let (estimate, millis) = timed(|| {
-                    let mut may_continue = within(deadline_ms);
-                    let request = EstimateRequest::of_target(left, right, &region, &self.range);
-                    state.inner.estimate(request.until(&mut may_continue))
-                });
-                let estimate = estimate?;
-                let place = estimate.point_at(centroid_px.map(Vector2::from));
-                let share = self.calibration_share(&estimate, &place.0, (&region, left))?;
-                Ok(Estimate::new(self.method, (estimate, millis), place, (share, warning)))
+        self.on_pair(py, [left, right], region, |state, left, right, region, warning| {
+            let (estimate, millis) = timed(|| {
+                let mut may_continue = within(deadline_ms);
+                let request = EstimateRequest::of_target(left, right, region, &self.range);
+                state.inner.estimate(request.until(&mut may_continue))
             });
-            state.value_range = range;
-            found
-        });
-        estimated.or_raise(py)
+            let estimate = estimate?;
+            let place = estimate.point_at(centroid_px.map(Vector2::from));
+            let share = self.calibration_share(&estimate, &place.0, (region, left))?;
+            Ok(Estimate::new(self.method, (estimate, millis), place, (share, warning)))
+        })
+    }
+
+    /// The visible surface of a region, pixel by pixel, for objects that are no plane: positions in `cam_left` N x 3 in metres, standard
+    /// deviations along the rays of the pixels N in metres, colours N x 3. Those of neighbours are not independent. Empty for the published
+    /// method, and if the right image shows no depth of the range. `left`, `right` and `region` as for `estimate`.
+    fn visible_surface<'py>(
+        &self,
+        py: Python<'py>,
+        left: &Bound<'py, PyAny>,
+        right: &Bound<'py, PyAny>,
+        region: &Bound<'py, PyAny>,
+    ) -> PyResult<Visible<'py>> {
+        let points = self.on_pair(py, [left, right], region, |state, left, right, region, _| {
+            Ok(state.inner.visible_surface(&EstimateRequest::of_target(left, right, region, &self.range))?)
+        })?;
+        let positions = points.iter().flat_map(|point| <[f64; 3]>::from(point.position_in_cam_left_m.coords));
+        let sigmas: Vec<f64> = points.iter().map(|point| point.sigma_m).collect();
+        Ok((
+            arrays::matrix(py, 3, positions.collect())?,
+            arrays::vector(py, &sigmas),
+            arrays::colours(py, points.iter().map(|point| point.rgb))?,
+        ))
     }
 
     /// The method.

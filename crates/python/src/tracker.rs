@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
 use anyhow::Context;
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
+use numpy::{PyArray1, PyArray2, PyReadonlyArray2};
 use pb3dp_cell::calibration_share::TrackShares;
 use pb3dp_cell::follower::Follower;
 use pb3dp_estimation::estimator::{FramePrior, Method, Tracker as Inner};
@@ -40,7 +40,8 @@ struct State {
 }
 
 /// Positions, normals and colours of a surface.
-type Surface<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<u8>>);
+type Surface<'py> =
+    (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray2<u8>>);
 
 #[pymethods]
 impl Tracker {
@@ -140,20 +141,19 @@ impl Tracker {
         self.method.name()
     }
 
-    /// The recovered surface in `model`: positions N x 3 in metres, unit normals N x 3 towards the first camera, colours N x 3. Empty before a
-    /// target was found, and for the published method.
+    /// The recovered surface in `model`: positions N x 3 in metres, unit normals N x 3 towards the first camera, standard deviations along the
+    /// rays of the first left image N in metres, colours N x 3. Empty before a target was found, and for the published method.
     fn surface<'py>(&self, py: Python<'py>) -> PyResult<Surface<'py>> {
         let points =
             py.detach(|| self.state.lock().unwrap_or_else(PoisonError::into_inner).follower.tracker().surface());
-        let positions =
-            points.iter().flat_map(|point| point.position_in_model_m.coords.iter().copied().collect::<Vec<_>>());
-        let normals = points.iter().flat_map(|point| point.normal_in_model.iter().copied().collect::<Vec<_>>());
-        let colours: Vec<u8> = points.iter().flat_map(|point| point.rgb).collect();
-        let colours: Bound<'py, PyArray1<u8>> = colours.into_pyarray(py);
+        let positions = points.iter().flat_map(|point| <[f64; 3]>::from(point.position_in_model_m.coords));
+        let normals = points.iter().flat_map(|point| <[f64; 3]>::from(point.normal_in_model));
+        let sigmas: Vec<f64> = points.iter().map(|point| point.sigma_m).collect();
         Ok((
             arrays::matrix(py, 3, positions.collect())?,
             arrays::matrix(py, 3, normals.collect())?,
-            colours.reshape([points.len(), 3])?,
+            arrays::vector(py, &sigmas),
+            arrays::colours(py, points.iter().map(|point| point.rgb))?,
         ))
     }
 

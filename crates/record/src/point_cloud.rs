@@ -1,7 +1,8 @@
 //! Coloured surface points in PLY files for MeshLab, CloudCompare and Open3D.
 //!
-//! Binary little-endian; per vertex `x y z nx ny nz` (single precision, millimetres and unit vectors) and
-//! `red green blue` (bytes). A comment in the header names the frame and the unit.
+//! Binary little-endian; per vertex `x y z` (single precision, millimetres), `nx ny nz` (unit vector) if the normals are known, `sigma`
+//! (standard deviation along the ray of the camera, millimetres), and `red green blue` (bytes). A comment in the header names the frame and
+//! the unit.
 
 use std::fs::File;
 use std::io::{BufWriter, Write as _};
@@ -19,8 +20,10 @@ use ply_rs_bw::writer::Writer;
 pub struct SurfacePoint {
     /// Position, metres, in the frame of the cloud.
     pub position_m: Point3<f64>,
-    /// Unit normal, in the frame of the cloud.
-    pub normal: Vector3<f64>,
+    /// Unit normal, in the frame of the cloud; a cloud has it for all of its points or for none.
+    pub normal: Option<Vector3<f64>>,
+    /// Standard deviation along the ray on which the camera saw the point, metres.
+    pub sigma_m: f64,
     /// Red, green, blue.
     pub rgb: [u8; 3],
 }
@@ -46,15 +49,20 @@ pub enum PointCloudError {
     },
 }
 
-const FLOATS: [&str; 6] = ["x", "y", "z", "nx", "ny", "nz"];
-const BYTES: [&str; 3] = ["red", "green", "blue"];
+const POSITION: [&str; 3] = ["x", "y", "z"];
+const NORMAL: [&str; 3] = ["nx", "ny", "nz"];
+const SIGMA: [&str; 1] = ["sigma"];
+const COLOUR: [&str; 3] = ["red", "green", "blue"];
 
 /// Writes a cloud whose coordinates are in the frame `F`.
 ///
 /// # Errors
 /// A point that is not finite, or a file that cannot be written.
 pub fn write_ply<F: Frame>(file: &Path, points: &[SurfacePoint]) -> Result<(), PointCloudError> {
-    let is_finite = |point: &SurfacePoint| point.position_m.iter().chain(point.normal.iter()).all(|x| x.is_finite());
+    let is_finite = |point: &SurfacePoint| {
+        let SurfacePoint { position_m, normal, sigma_m, .. } = point;
+        position_m.iter().chain(normal.iter().flat_map(|n| n.iter())).chain([sigma_m]).all(|x| x.is_finite())
+    };
     if let Some(index) = points.iter().position(|point| !is_finite(point)) {
         return Err(PointCloudError::NotFinite { file: file.to_path_buf(), index });
     }
@@ -69,7 +77,12 @@ fn cloud(frame: &str, points: &[SurfacePoint]) -> Ply<DefaultElement> {
     ply.header.encoding = Encoding::BinaryLittleEndian;
     ply.header.comments.push(format!("surface measured by pb3dp, frame {frame}, millimetres"));
     let mut vertex = ElementDef::new("vertex".to_owned());
-    for (names, scalar) in [(&FLOATS[..], ScalarType::Float), (&BYTES[..], ScalarType::UChar)] {
+    let has_normals = points.iter().all(|point| point.normal.is_some());
+    let normal = if has_normals { &NORMAL[..] } else { &[] };
+    let float = ScalarType::Float;
+    for (names, scalar) in
+        [(&POSITION[..], &float), (normal, &float), (&SIGMA[..], &float), (&COLOUR[..], &ScalarType::UChar)]
+    {
         for name in names {
             vertex.properties.add(PropertyDef::new((*name).to_owned(), PropertyType::Scalar(scalar.clone())));
         }
@@ -81,11 +94,12 @@ fn cloud(frame: &str, points: &[SurfacePoint]) -> Ply<DefaultElement> {
 
 fn element(point: &SurfacePoint) -> DefaultElement {
     let mut element = DefaultElement::new();
-    let (p, n) = (point.position_m * 1e3, point.normal);
-    for (name, value) in FLOATS.iter().zip([p.x, p.y, p.z, n.x, n.y, n.z]) {
+    let normal = point.normal.unwrap_or_default();
+    let (names, values) = (POSITION.iter().chain(&NORMAL).chain(&SIGMA), (point.position_m.coords * 1e3, normal));
+    for (name, value) in names.zip(values.0.iter().chain(values.1.iter()).copied().chain([1e3 * point.sigma_m])) {
         element.insert((*name).to_owned(), Property::Float(value as f32));
     }
-    for (name, value) in BYTES.iter().zip(point.rgb) {
+    for (name, value) in COLOUR.iter().zip(point.rgb) {
         element.insert((*name).to_owned(), Property::UChar(value));
     }
     element
@@ -99,13 +113,14 @@ mod tests {
     fn points() -> Vec<SurfacePoint> {
         let point = |x: f64, rgb| SurfacePoint {
             position_m: Point3::new(x, -0.0125, 0.5),
-            normal: Vector3::new(0.0, 0.6, -0.8),
+            normal: Some(Vector3::new(0.0, 0.6, -0.8)),
+            sigma_m: 0.0005,
             rgb,
         };
         vec![point(0.25, [255, 0, 128]), point(-0.001, [1, 2, 3])]
     }
 
-    /// The bytes of the format, computed by hand: an ASCII header, then 27 bytes per vertex.
+    /// The bytes of the format, computed by hand: an ASCII header, then 31 bytes per vertex.
     #[test]
     fn the_file_is_what_the_format_says() {
         let folder = tempfile::tempdir().unwrap();
@@ -120,11 +135,24 @@ mod tests {
         assert!(header.contains("frame model, millimetres") && lines.contains(&"element vertex 2"), "{header}");
         let properties: Vec<&str> = lines.iter().copied().filter(|line| line.starts_with("property")).collect();
         let names: Vec<&str> = properties.iter().filter_map(|line| line.split(' ').nth(2)).collect();
-        assert_eq!(names, ["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"]);
-        assert_eq!(bytes.len() - at, 2 * 27);
+        assert_eq!(names, ["x", "y", "z", "nx", "ny", "nz", "sigma", "red", "green", "blue"]);
+        assert_eq!(bytes.len() - at, 2 * 31);
         let float = |i: usize| f32::from_le_bytes(bytes[at + i..at + i + 4].try_into().unwrap());
-        assert_eq!([float(0), float(4), float(8), float(16)], [250.0, -12.5, 500.0, 0.6]);
-        assert_eq!((&bytes[at + 24..at + 27], float(27)), (&[255, 0, 128][..], -1.0));
+        assert_eq!([float(0), float(4), float(8), float(16), float(24)], [250.0, -12.5, 500.0, 0.6, 0.5]);
+        assert_eq!((&bytes[at + 28..at + 31], float(31)), (&[255, 0, 128][..], -1.0));
+    }
+
+    #[test]
+    fn a_cloud_without_normals_has_no_such_columns() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("surface.ply");
+        let points: Vec<_> = points().into_iter().map(|point| SurfacePoint { normal: None, ..point }).collect();
+        write_ply::<Model>(&file, &points).unwrap();
+        let bytes = std::fs::read(&file).unwrap();
+        let header_end = bytes.windows(11).position(|window| window == b"end_header\n").unwrap() + 11;
+        assert!(!String::from_utf8_lossy(&bytes[..header_end]).contains("nx"));
+        assert_eq!(bytes.len() - header_end, 2 * 19);
+        assert_eq!(f32::from_le_bytes(bytes[header_end + 12..header_end + 16].try_into().unwrap()), 0.5);
     }
 
     #[test]

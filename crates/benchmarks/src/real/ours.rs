@@ -5,11 +5,13 @@ use std::rc::Rc;
 use nalgebra::Vector2;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
 use pb3dp_estimation_core::estimate::PlaneEstimate;
-use pb3dp_estimation_core::method::EstimateRequest;
+use pb3dp_estimation_core::method::{EstimateRequest, VisiblePoint};
+use pb3dp_record::images::DisparityMap;
 use pb3dp_record::metrics::{self, DisparityAgreement, compare_plane};
+use pb3dp_record::overlay::mask::polygon_pixels;
 
 use super::cases::Prepared;
-use super::score::{Answer, Entry, Maker};
+use super::score::{Answer, Entry, Maker, SurfaceScore};
 use pb3dp_hal_platform::cpu_time::timed;
 
 /// Runs a method with its default parameters: one estimator, called `repeat` times. The answer is that of the first call,
@@ -22,6 +24,7 @@ pub fn run(case: &Prepared, method: Method, repeat: u32) -> Entry {
         maker: Maker::Ours,
         status: Some("error"),
         answer: None,
+        surface: None,
         ms: None,
         first_ms: None,
         rows_ms: None,
@@ -58,7 +61,37 @@ fn fill(entry: &mut Entry, case: &Prepared, method: Method, repeat: u32) -> anyh
     entry.answer = answer_of(case, &first);
     entry.ms = metrics::median(&times);
     entry.first_ms = Some(first_ms);
+    if let Some(truth) = case.disparity.as_ref().filter(|_| !case.facts.is_planar()) {
+        let request = EstimateRequest::of_target(&case.images.left, &case.images.right, &case.region, &case.range);
+        entry.surface = surface_score(case, &estimator.visible_surface(&request)?, truth);
+    }
     Ok(())
+}
+
+/// Compares the points of a rectified pair with the true disparities; `None` without points.
+fn surface_score(case: &Prepared, points: &[VisiblePoint], truth: &DisparityMap) -> Option<SurfaceScore> {
+    let (left, right) = (case.rig.left().pinhole(), case.rig.right().pinhole());
+    let (mut within, mut in_2_sigmas, mut compared) = (0_usize, 0_usize, 0_usize);
+    for point in points {
+        let VisiblePoint { pixel_px, position_in_cam_left_m: at_m, sigma_m, .. } = point;
+        let Some(known_px) = truth.at(pixel_px.x.round() as u32, pixel_px.y.round() as u32) else { continue };
+        let per_m = left.fx * case.rig.baseline_m() / at_m.z;
+        let error_px = (per_m - (right.cx - left.cx) - known_px).abs();
+        let sigma_px = per_m * sigma_m / at_m.coords.norm();
+        compared += 1;
+        within += usize::from(error_px < 1.0);
+        in_2_sigmas += usize::from(error_px <= 2.0 * sigma_px);
+    }
+    let all = region_truths(case, truth).max(1) as f64;
+    (compared > 0)
+        .then(|| SurfaceScore { within_1px: within as f64 / all, in_2_sigmas: in_2_sigmas as f64 / compared as f64 })
+}
+
+/// Number of pixels of the region with a known disparity.
+fn region_truths(case: &Prepared, truth: &DisparityMap) -> usize {
+    let mut known = 0;
+    polygon_pixels(&case.polygon_px, truth.size(), |u, v| known += usize::from(truth.at(u, v).is_some()));
+    known
 }
 
 /// The estimated plane compared with the truth; `None` without a plane.

@@ -91,6 +91,7 @@ fn entry_of(line: &str, cases: &HashMap<&str, &Rc<CaseFacts>>) -> anyhow::Result
         maker: Maker::Peer,
         status: None,
         answer,
+        surface: None,
         ms: number("ms"),
         first_ms: None,
         rows_ms: None,

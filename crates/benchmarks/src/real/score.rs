@@ -94,6 +94,15 @@ pub struct Answer {
     pub map: Option<(f64, f64)>,
 }
 
+/// The visible surface from a method, compared with the true disparities inside the region.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfaceScore {
+    /// Share of the true disparities within 1 px.
+    pub within_1px: f64,
+    /// Share of its points within two of their standard deviations.
+    pub in_2_sigmas: f64,
+}
+
 /// Origin of a method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Maker {
@@ -116,6 +125,8 @@ pub struct Entry {
     pub status: Option<&'static str>,
     /// The plane; `None` without an answer.
     pub answer: Option<Answer>,
+    /// The visible surface, of non-planar regions; `None` for a method that finds planes only.
+    pub surface: Option<SurfaceScore>,
     /// CPU time of one thread from images in memory to the plane, median of the calls, milliseconds.
     pub ms: Option<f64>,
     /// CPU time of the first call, which may include work that is done once per rig.
@@ -165,6 +176,8 @@ impl Entry {
             "normal_err_deg": answer.map(|a| a.normal_rad.to_degrees()),
             "gt_disp_med_abs_px": answer.and_then(|a| a.map).map(|(median, _)| median),
             "gt_disp_within_1px": answer.and_then(|a| a.map).map(|(_, share)| share),
+            "surface_within_1px": self.surface.map(|found| found.within_1px),
+            "surface_in_2_sigmas": self.surface.map(|found| found.in_2_sigmas),
             "ms": self.ms,
             "first_ms": self.first_ms,
             "rows_ms": self.rows_ms,
@@ -210,7 +223,17 @@ pub(super) mod tests {
     pub fn entry(case: &Rc<CaseFacts>, method: &str, answer: Option<Answer>) -> Entry {
         let status = Some(if answer.is_some() { "ok" } else { "not-observable" });
         let (case, method) = (Rc::clone(case), method.to_owned());
-        Entry { case, method, maker: Maker::Ours, status, answer, ms: Some(2.0), first_ms: Some(3.0), rows_ms: None }
+        Entry {
+            case,
+            method,
+            maker: Maker::Ours,
+            status,
+            answer,
+            surface: None,
+            ms: Some(2.0),
+            first_ms: Some(3.0),
+            rows_ms: None,
+        }
     }
 
     #[track_caller]

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use pb3dp_record::metrics::{Group, median, percentile};
 use serde_json::{Value, json};
 
-use super::score::{Entry, Grade, Maker};
+use super::score::{Entry, Grade, Maker, SurfaceScore};
 
 /// Groups in the order of the report, with their names in it.
 pub const GROUPS: [(Group, &str); 6] = [
@@ -44,6 +44,9 @@ pub struct Row {
     pub squared_scores: Option<[f64; 2]>,
     /// Non-planar regions: share of the true disparities within 1 px of the plane, mean over all cases, percent.
     pub within_1px_percent: Option<f64>,
+    /// Non-planar regions: share of the true disparities within 1 px of the visible surface, and share of its points within two of their
+    /// standard deviations, means over all cases, percent.
+    pub surface_percent: Option<[f64; 2]>,
 }
 
 impl Row {
@@ -59,6 +62,9 @@ impl Row {
         let gross: Vec<_> = entries.iter().copied().filter(is_gross).collect();
         let judged: Vec<_> = entries.iter().filter(|e| !is_gross(e)).filter_map(|e| e.squared_scores()).collect();
         let has_map = answers.iter().any(|(_, a)| a.map.is_some());
+        let surfaces: Vec<_> = entries.iter().filter_map(|e| e.surface).collect();
+        let of_surfaces = |value: fn(&SurfaceScore) -> f64| 100.0 * surfaces.iter().map(value).sum::<f64>();
+        let per_case = |sum: f64| sum / entries.len() as f64;
         let within = answers.iter().filter_map(|(_, a)| a.map).map(|(_, share)| 100.0 * share).sum::<f64>();
         Some(Self {
             method: first.method.clone(),
@@ -72,7 +78,9 @@ impl Row {
             normal_deg: pair(&normal, 95.0),
             millis: pair(&millis, 90.0),
             squared_scores: mean_of_pairs(&judged),
-            within_1px_percent: (!planar && has_map).then(|| within / entries.len() as f64),
+            within_1px_percent: (!planar && has_map).then(|| per_case(within)),
+            surface_percent: (!surfaces.is_empty())
+                .then(|| [of_surfaces(|s| s.within_1px), of_surfaces(|s| s.in_2_sigmas)].map(per_case)),
         })
     }
 
@@ -102,6 +110,7 @@ impl Row {
             two(self.millis, 2),
             two(self.squared_scores, 2),
             number(self.within_1px_percent, 1),
+            two(self.surface_percent, 1),
         ]
     }
 
@@ -112,12 +121,13 @@ impl Row {
             "z_percent_median_p95": self.z_percent, "normal_deg_median_p95": self.normal_deg,
             "ms_median_p90": self.millis, "squared_scores_z_normal": self.squared_scores,
             "within_1px_percent": self.within_1px_percent,
+            "surface_percent_within_1px_in_2_sigmas": self.surface_percent,
         })
     }
 }
 
 /// Headings of [`Row::cells`].
-pub const HEADINGS: [&str; 12] = [
+pub const HEADINGS: [&str; 13] = [
     "method",
     "n",
     "answered %",
@@ -130,6 +140,7 @@ pub const HEADINGS: [&str; 12] = [
     "ms med / p90",
     "chi2 z / normal",
     "within 1 px %",
+    "surface within 1 px / 2 sigmas %",
 ];
 
 fn share(part: usize, of: usize) -> f64 {

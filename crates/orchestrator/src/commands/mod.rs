@@ -10,6 +10,7 @@ pub mod explain;
 pub mod extract;
 pub mod generate;
 pub mod identify;
+mod output_file;
 pub mod overlay_folder;
 pub mod pair;
 pub mod panel;

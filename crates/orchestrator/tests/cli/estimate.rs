@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use image::{GrayImage, Luma, RgbImage};
+use nalgebra::Point3;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Target};
 use pb3dp_record::calibration_files::{save_json, save_kalibr, save_opencv, save_ros_pair};
@@ -352,6 +353,40 @@ fn the_second_surface_of_a_region_is_told_with_its_share() {
     assert!(numbers(&second["normal"])[2] < 0.0, "{line}");
     assert!(line["row_offset_px"].as_f64().unwrap().abs() < 0.5, "{line}");
     assert!(line["reason"].as_str().unwrap().contains("of the region agree"), "{line}");
+}
+
+/// The same region, pixel by pixel: points on the card, and on the wall behind it.
+#[test]
+fn the_visible_surface_is_a_cloud_in_the_frame_of_the_left_camera() {
+    let pair = OnePair::of(TargetConfig::card());
+    let right_edge = pair.outline_px.iter().map(|[u, _]| *u).fold(f64::MIN, f64::max);
+    let region = format!("rect:{:.0},{:.0},100,70", right_edge - 50.0, pair.centre_px()[1] - 35.0);
+    let [left, right, calibration] = ["left.png", "right.png", "calib.json"].map(|name| pair.file(name));
+    let (cloud, cases) = (pair.file("new/card.ply"), pair.file("cases"));
+    let files: [&dyn AsRef<std::ffi::OsStr>; 9] =
+        [&"estimate", &"--left", &left, &"--right", &right, &"--calib", &calibration, &"--region", &region];
+    let with = |more: &[&dyn AsRef<std::ffi::OsStr>]| pb3dp(&words(&[&files[..], more].concat()));
+    with(&[&"--surface", &cloud]).assert_success();
+    let bytes = std::fs::read(&cloud).unwrap();
+    let end = b"end_header\n";
+    let at = bytes.windows(end.len()).position(|window| window == end).unwrap() + end.len();
+    let header = String::from_utf8_lossy(&bytes[..at]);
+    assert!(header.contains("frame cam_left, millimetres") && header.contains("float sigma"), "{header}");
+    // Three floats, the standard deviation, three bytes.
+    let floats = |chunk: &[u8]| [0, 1, 2, 3].map(|k| f32::from_le_bytes(chunk[4 * k..4 * k + 4].try_into().unwrap()));
+    let points: Vec<[f64; 4]> = bytes[at..].chunks(19).map(|chunk| floats(chunk).map(f64::from)).collect();
+    assert!(points.len() > 6500 && points.len() <= 7000, "{} points", points.len());
+    let target_from_cam_left = pair.cam_left_from_target.inverse();
+    let behind_mm =
+        |[x, y, z, _]: &[f64; 4]| 1e3 * target_from_cam_left.transform_point(&(Point3::new(*x, *y, *z) / 1e3)).z;
+    let share =
+        |of: &dyn Fn(f64) -> bool| points.iter().filter(|p| of(behind_mm(p))).count() as f64 / points.len() as f64;
+    let (on_card, behind) = (share(&|mm| mm.abs() < 8.0), share(&|mm| mm > 20.0));
+    assert!(on_card > 0.3 && behind > 0.3 && on_card + behind > 0.9, "{on_card} on the card, {behind} behind");
+    assert!(points.iter().all(|[.., sigma_mm]| (0.05..200.0).contains(sigma_mm)), "{:?}", points[0]);
+
+    with(&[&"--surface", &cloud, &"--method", &"published"]).assert_refused(&["--surface", "--method direct"]);
+    pb3dp(&words(&[&"estimate", &"--cases", &cases, &"--surface", &cloud])).assert_refused(&["--surface"]);
 }
 
 #[test]

@@ -305,6 +305,7 @@ fn the_surface_of_a_flat_card_is_a_flat_coloured_cloud() {
     let rms_mm = (points.iter().map(|p| p.z_mm.powi(2)).sum::<f32>() / points.len() as f32).sqrt();
     assert!(rms_mm < 1.0, "rms of {rms_mm} mm about the plane");
     assert!(points.iter().all(|p| p.x_mm.abs() < 120.0 && p.y_mm.abs() < 120.0 && p.nz < -0.8), "on the card");
+    assert!(points.iter().all(|p| (0.001..1.0).contains(&p.sigma_mm)), "{} mm", points[0].sigma_mm);
     let colourful = points.iter().filter(|p| p.rgb.iter().max().unwrap() - p.rgb.iter().min().unwrap() > 40).count();
     assert!(colourful * 4 > points.len(), "{colourful} of {} are coloured", points.len());
 
@@ -328,25 +329,27 @@ struct Vertex {
     y_mm: f32,
     z_mm: f32,
     nz: f32,
+    sigma_mm: f32,
     rgb: [u8; 3],
 }
 
-/// Reads what `write_ply` writes: six little-endian floats and three bytes per vertex.
+/// Reads what `write_ply` writes: seven little-endian floats and three bytes per vertex.
 fn vertices(file: &Path) -> Vec<Vertex> {
     let bytes = std::fs::read(file).unwrap();
     let end = b"end_header\n";
     let at = bytes.windows(end.len()).position(|window| window == end).unwrap() + end.len();
     assert!(String::from_utf8_lossy(&bytes[..at]).contains("frame model"), "the header names the frame");
-    assert_eq!((bytes.len() - at) % 27, 0);
+    assert_eq!((bytes.len() - at) % 31, 0);
     let float = |chunk: &[u8], k: usize| f32::from_le_bytes(chunk[4 * k..4 * k + 4].try_into().unwrap());
     let vertex = |chunk: &[u8]| Vertex {
         x_mm: float(chunk, 0),
         y_mm: float(chunk, 1),
         z_mm: float(chunk, 2),
         nz: float(chunk, 5),
-        rgb: chunk[24..27].try_into().unwrap(),
+        sigma_mm: float(chunk, 6),
+        rgb: chunk[28..31].try_into().unwrap(),
     };
-    bytes[at..].chunks(27).map(vertex).collect()
+    bytes[at..].chunks(31).map(vertex).collect()
 }
 
 /// White paper that is saturated in one image tells nothing about its surface. It counted as another surface, and of two boards a small part

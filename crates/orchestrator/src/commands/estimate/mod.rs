@@ -2,6 +2,7 @@
 
 pub mod job;
 mod rigs;
+mod surface;
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -31,6 +32,7 @@ use self::job::{Job, pair_name};
 use self::rigs::Rigs;
 use super::overlay_folder::{make_overlay_folder, report_overlay_folder};
 use crate::arguments::{EstimateArgs, UNSURE};
+use crate::commands::output_file::check_writable;
 use crate::commands::pair::usable;
 use crate::progress::Progress;
 
@@ -42,6 +44,12 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
     let method = args.method.method;
     if args.reference_optimum && method != Method::Published {
         bail!("--reference-optimum: the method {method} has no reference optimum: use --method {}", Method::Published);
+    }
+    if let Some(file) = &args.surface {
+        if !method.recovers_surface() {
+            bail!("--surface: the method {method} recovers no surface: use --method {}", Method::Direct);
+        }
+        check_writable("--surface", file)?;
     }
     let config = estimator_config(args.method.config.as_deref(), args.method.seed)?;
     let mut overlays = Overlays::open(args.method.overlay.as_deref())?;
@@ -166,8 +174,13 @@ fn work(
             EstimateRequest::of_target(&job.left, &job.right, &job.region, &job.range).until(&mut may_continue),
         )
     });
+    let request = EstimateRequest::of_target(&job.left, &job.right, &job.region, &job.range);
+    let visible = args.surface.as_ref().map(|_| estimator.visible_surface(&request));
     rigs.give_back(estimator);
     let mut estimate = estimate?;
+    if let (Some(file), Some(points)) = (&args.surface, visible) {
+        surface::write(file, &points?)?;
+    }
     if args.reference_optimum {
         estimate.reference_optimum = reference_optimum(job, method, config)?;
     }

@@ -7,8 +7,8 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use pb3dp_record::estimates_csv::{EstimateRow, heading};
 
-use super::output_file::{check_writable, numbered};
 use super::walk::{Outcome, TargetResult};
+use crate::commands::output_file::{check_writable, numbered};
 
 /// Open CSV files, one for each target; none without `--csv`.
 pub struct EstimateFiles {

@@ -1,7 +1,6 @@
 //! `pb3dp track`: regions through a recorded stereo sequence.
 
 mod csv;
-mod output_file;
 mod overlays;
 mod surface;
 mod walk;
@@ -23,10 +22,10 @@ use pb3dp_wiring::message_codes::in_words;
 use pb3dp_wiring::wire_replay;
 
 use self::csv::EstimateFiles;
-use self::output_file::check_writable;
 use self::overlays::Overlays;
 use self::walk::{Outcome, TargetResult, Walk};
 use crate::arguments::{TrackArgs, UNSURE};
+use crate::commands::output_file::check_writable;
 use crate::progress::Progress;
 
 /// A replay does not wait for images: this time-out should never expire.

@@ -7,8 +7,8 @@ use pb3dp_estimation::estimator;
 use pb3dp_geometry::frames::Model;
 use pb3dp_record::point_cloud::{SurfacePoint, write_ply};
 
-use super::output_file::numbered;
 use super::walk::TrackedTarget;
+use crate::commands::output_file::numbered;
 
 /// Writes the surface of each target to `file`. Several targets get numbered files: `crab.ply` becomes `crab-0.ply`, `crab-1.ply`.
 /// Positions and normals are in `model`, colours are from the first left image.
@@ -25,7 +25,8 @@ pub fn write_all(file: &Path, targets: &[TrackedTarget]) -> Result<()> {
         }
         let point = |point: &estimator::SurfacePoint| SurfacePoint {
             position_m: point.position_in_model_m,
-            normal: point.normal_in_model,
+            normal: Some(point.normal_in_model),
+            sigma_m: point.sigma_m,
             rgb: point.rgb,
         };
         let points: Vec<SurfacePoint> = found.iter().map(point).collect();

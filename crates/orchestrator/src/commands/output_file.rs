@@ -1,4 +1,4 @@
-//! Files that a track writes.
+//! Files that a command writes.
 
 use std::path::{Path, PathBuf};
 
