@@ -14,15 +14,17 @@ use pb3dp_geometry::StereoRig;
 use super::cold_start::{ColdStart, ColdStartConfig};
 use super::colour_planes::Wanted;
 use super::directions::tell;
-use super::disparity_plane::{DisparityPlane, DisparityRange, RectifiedGeometry, inverse_depth_from_disparity};
+use super::disparity_plane::{DisparityPlane, DisparityRange, RectifiedGeometry};
 use super::final_plane::final_plane;
 use super::front_end::StereoFrontEnd;
 use super::region_pyramid::{PyramidSource, RegionPyramid};
 use super::row_measurement::measure_rows;
 use super::shape::{self, ShapePixel};
+use super::spread::{Spread, include_second};
 use super::tilt_limits::TiltLimits;
 use super::verdict::{
     DirectVerdictConfig, SAME_IMAGE, Searched, Steeper, is_no_plane, judge, lies_beyond, may_be_unseen, nothing_found,
+    similar_second,
 };
 use crate::outcome::{ColdStartOutcome, Rival, UnlimitedPlane};
 use pb3dp_estimation_core::row_offset::{RowMeasurement, RowOffset};
@@ -65,20 +67,20 @@ pub struct DirectEstimator {
 }
 
 /// Conversion of planes from the rectified pair to the raw left camera.
-struct RawView {
-    geometry: RectifiedGeometry,
+pub(super) struct RawView {
+    pub(super) geometry: RectifiedGeometry,
     /// Rotation `cam_left_from_cam_left_rect`.
-    turn: Matrix3<f64>,
+    pub(super) turn: Matrix3<f64>,
     /// Ray of the region's centroid, third component 1.
-    ray: Vector3<f64>,
+    pub(super) ray: Vector3<f64>,
 }
 
 impl RawView {
-    fn inverse_depth_plane(&self, plane: &DisparityPlane) -> Vector3<f64> {
+    pub(super) fn inverse_depth_plane(&self, plane: &DisparityPlane) -> Vector3<f64> {
         self.turn * plane.inverse_depth_plane(&self.geometry)
     }
 
-    fn pose(&self, plane: &DisparityPlane) -> Option<PlanePose> {
+    pub(super) fn pose(&self, plane: &DisparityPlane) -> Option<PlanePose> {
         PlanePose::from_inverse_depth_plane(self.inverse_depth_plane(plane), &self.ray)
     }
 }
@@ -275,6 +277,12 @@ impl DirectEstimator {
         {
             (estimate.status, estimate.reason) = (Status::Ambiguous, reason);
         }
+        if let (Status::Ambiguous, Some(outcome)) = (estimate.status, &self.outcome)
+            && similar_second(outcome, &self.config.verdict).is_some()
+            && !is_no_plane(outcome, &self.config.verdict, &self.config.cold_start.choice)
+        {
+            include_second(&mut estimate, outcome.finest.support_share);
+        }
         (self.mask, self.rectified) = (raw, rectified);
         Ok(estimate)
     }
@@ -427,119 +435,4 @@ fn disparity_range(view: &RawView, range: &SearchRange) -> DisparityRange {
     let depth_factor = (view.turn.transpose() * view.ray).z;
     let at = |z_m: f64| view.geometry.disparity_px(z_m * depth_factor);
     DisparityRange { lowest: at(range.z_max_m), highest: at(range.z_min_m) }
-}
-
-/// Root mean square angle between the pole of a half-sphere and normals distributed uniformly over it, `sqrt(pi - 2)`, radians:
-/// upper bound of the uncertainty of a normal that faces the camera.
-const ANY_NORMAL_RAD: f64 = 1.0684;
-
-/// An estimate is tilted beyond the range if it exceeds the limit by this many standard deviations. 95 % of normal errors.
-const TILT_SIGMAS: f64 = 2.0;
-
-/// Uncertainty of a plane in `cam_left`.
-#[derive(Clone, Copy, Debug)]
-struct Spread {
-    /// Covariance of `(z, theta_x, theta_y)`: metres and radians.
-    covariance: Matrix3<f64>,
-    normal_sigma_rad: f64,
-}
-
-impl Spread {
-    fn of(covariance: &Matrix3<f64>, plane: &DisparityPlane, pose: &PlanePose, view: &RawView) -> Self {
-        let j = view.turn * inverse_depth_from_disparity(&view.geometry, &plane.centre_px);
-        let q_covariance = j * covariance * j.transpose();
-        let q = pose.inverse_depth_plane;
-        // z = 1 / (q . ray), theta_x = atan2(-qy, r) with r = |(qx, qz)|, theta_y = atan2(qx, qz).
-        let (r2, n2) = (q.x * q.x + q.z * q.z, q.norm_squared());
-        let r = r2.sqrt();
-        let dz = view.ray * (-pose.z_m * pose.z_m);
-        let dx = Vector3::new(q.x * q.y / r, -r, q.z * q.y / r) / n2;
-        let dy = Vector3::new(q.z, 0.0, -q.x) / r2;
-        let jacobian = Matrix3::from_rows(&[dz.transpose(), dx.transpose(), dy.transpose()]);
-        let normal = q / q.norm();
-        let across = (Matrix3::identity() - normal * normal.transpose()) / q.norm();
-        let normal_sigma_rad = (across * q_covariance * across.transpose()).trace().max(0.0).sqrt().min(ANY_NORMAL_RAD);
-        Self { covariance: jacobian * q_covariance * jacobian.transpose(), normal_sigma_rad }
-    }
-
-    /// Whether a tilt of `pose` exceeds a limit by more than its uncertainty.
-    fn is_tilted_beyond(&self, pose: &PlanePose, limit_rad: f64) -> bool {
-        let q = pose.inverse_depth_plane;
-        let tilts_rad = [(-q.y).atan2(q.x.hypot(q.z)), q.x.atan2(q.z)];
-        let is_beyond = |(axis, tilt_rad): (usize, f64)| {
-            tilt_rad.abs() - limit_rad > TILT_SIGMAS * self.covariance[(axis + 1, axis + 1)].max(0.0).sqrt()
-        };
-        tilts_rad.into_iter().enumerate().any(is_beyond)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn view() -> RawView {
-        let turn = pb3dp_geometry::so3::exp(&Vector3::new(0.03, -0.06, 0.02)).to_rotation_matrix();
-        RawView {
-            geometry: RectifiedGeometry {
-                focal_px: Vector2::new(740.0, 755.0),
-                left_principal_px: Vector2::new(311.0, 252.0),
-                disparity_offset_px: 12.5,
-                baseline_m: 0.1,
-            },
-            turn: *turn.matrix(),
-            ray: Vector3::new(0.12, -0.07, 1.0),
-        }
-    }
-
-    fn plane() -> DisparityPlane {
-        DisparityPlane { centre_px: Vector2::new(380.0, 210.0), d0_px: 133.0, slope: Vector2::new(0.06, -0.04) }
-    }
-
-    /// Checks against numerical differences of the plane's parameters, not against the formula.
-    #[test]
-    fn the_covariance_is_that_of_small_changes() {
-        let (view, plane) = (view(), plane());
-        let psi = |p: &Vector3<f64>| {
-            let q = view.inverse_depth_plane(&plane.with_parameters(p));
-            let psi = PlaneHypothesis::from_inverse_depth_plane(&q, &view.ray).unwrap();
-            Vector3::new(psi.z_m, psi.theta_x_rad, psi.theta_y_rad)
-        };
-        let p0 = plane.parameters();
-        let steps = [1e-4, 1e-7, 1e-7];
-        let jacobian = Matrix3::from_columns(&[0, 1, 2].map(|i| {
-            let step = Vector3::ith(i, steps[i]);
-            (psi(&(p0 + step)) - psi(&(p0 - step))) / (2.0 * steps[i])
-        }));
-        let root = Matrix3::new(0.05, 0.0, 0.0, 1e-4, 3e-4, 0.0, -2e-4, 1e-4, 4e-4);
-        let covariance = root * root.transpose();
-        let pose = view.pose(&plane).unwrap();
-        let spread = Spread::of(&covariance, &plane, &pose, &view);
-        let expected = jacobian * covariance * jacobian.transpose();
-        for i in 0..3 {
-            for j in 0..3 {
-                let scale = (expected[(i, i)] * expected[(j, j)]).sqrt();
-                assert!((spread.covariance[(i, j)] - expected[(i, j)]).abs() < 1e-4 * scale, "{i} {j}");
-            }
-        }
-        // A rotation by theta_y moves the normal by cos theta_x of it.
-        let cosine = psi(&p0).y.cos();
-        let sum = expected[(1, 1)] + cosine * cosine * expected[(2, 2)];
-        assert!((spread.normal_sigma_rad - sum.sqrt()).abs() < 1e-4 * sum.sqrt());
-    }
-
-    #[test]
-    fn no_normal_is_known_worse_than_one_that_may_be_any() {
-        let (view, plane) = (view(), plane());
-        let pose = view.pose(&plane).unwrap();
-        let sigma = |scale: f64| Spread::of(&(Matrix3::identity() * scale), &plane, &pose, &view).normal_sigma_rad;
-        assert!(sigma(1e-8) < 0.01 && sigma(1.0) == ANY_NORMAL_RAD, "{} {}", sigma(1e-8), sigma(1.0));
-        // Simpson's rule over the squared angle, weighted by the ring of normals at that angle.
-        let value = |i: usize| {
-            (std::f64::consts::FRAC_PI_2 * i as f64 / 1000.0).powi(2)
-                * (std::f64::consts::FRAC_PI_2 * i as f64 / 1000.0).sin()
-        };
-        let inner: f64 = (1..1000).map(|i| value(i) * if i % 2 == 1 { 4.0 } else { 2.0 }).sum();
-        let mean = (value(0) + inner + value(1000)) * std::f64::consts::FRAC_PI_2 / 3000.0;
-        assert!((mean.sqrt() - ANY_NORMAL_RAD).abs() < 1e-4, "{}", mean.sqrt());
-    }
 }

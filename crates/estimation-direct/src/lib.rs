@@ -30,6 +30,7 @@ pub mod row_measurement;
 mod row_shift;
 pub mod search;
 mod shape;
+mod spread;
 pub mod surface_choice;
 mod surroundings;
 mod tilt_limits;

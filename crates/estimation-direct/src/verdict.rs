@@ -6,7 +6,7 @@ use pb3dp_estimation_core::ranges;
 use pb3dp_estimation_core::status::{Status, Verdict};
 
 use crate::disparity_plane::DisparityPlane;
-use crate::outcome::{ColdStartOutcome, support_of};
+use crate::outcome::{ColdStartOutcome, Rival, support_of};
 use crate::surface_choice::SurfaceChoice;
 
 /// Limits between the statuses. Chosen by hand on real pairs, some of which are held out (ADR 7).
@@ -199,6 +199,12 @@ fn other_plane(rival: &DisparityPlane, plane: &DisparityPlane) -> String {
     }
 }
 
+/// A second surface that covers about as much of the region as the first.
+pub(super) fn similar_second(outcome: &ColdStartOutcome, limits: &DirectVerdictConfig) -> Option<Rival> {
+    let first_share = support_of(&outcome.first.patches);
+    outcome.second.filter(|second| second.own_share > limits.second_share_max * first_share)
+}
+
 /// Reason if another plane is nearly as good on the finest level.
 fn contested(outcome: &ColdStartOutcome, limits: &DirectVerdictConfig) -> Option<String> {
     let other = outcome.contender.filter(|other| other.score_ratio > limits.alias_score_max)?;
@@ -250,7 +256,7 @@ pub(super) fn judge(
         return say(Status::Ambiguous, format!("{seen}: {advice}"));
     }
     let first_share = support_of(&outcome.first.patches);
-    if let Some(second) = outcome.second.filter(|second| second.own_share > limits.second_share_max * first_share) {
+    if let Some(second) = similar_second(outcome, limits) {
         return say(
             Status::Ambiguous,
             format!(
