@@ -63,7 +63,8 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
         false => changes::find(workspace)?,
     };
     println!("{}", changes.text());
-    let mut progress = Progress { workspace, changes, tested: None, beside: None };
+    let is_alone = args.only.is_some();
+    let mut progress = Progress { workspace, changes, is_alone, tested: None, ahead: None, beside: None };
     let mut done = Vec::new();
     let mut failure = None;
     for step in STEPS.iter().filter(|step| args.only.as_deref().is_none_or(|only| only == step.name)) {

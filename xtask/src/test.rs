@@ -65,7 +65,7 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
         return build::run(workspace, &[], |_| {}).map(|_| ());
     }
     let long = if args.all { Long::Everywhere } else { Long::Nowhere };
-    let tested = all(workspace, &Plan { long, filter: args.filter.clone() })?;
+    let tested = all(workspace, &Plan { long, filter: args.filter.clone() }, |_| {})?;
     if args.timings {
         print!("{}", tested.timings());
     }
@@ -116,14 +116,20 @@ impl Tested {
     }
 }
 
-/// Builds and runs everything. Failed tests are no error here: [`Report::conclude`] reports them.
+/// Builds and runs everything. `after_build` is called while the last tests run, with the prefix of a command that may run beside them.
+/// Failed tests are no error here: [`Report::conclude`] reports them.
 ///
 /// # Errors
 /// If something does not build, or no program can be started.
-pub fn all(workspace: &Workspace, plan: &Plan) -> anyhow::Result<Tested> {
+pub fn all(workspace: &Workspace, plan: &Plan, after_build: impl FnOnce(&[&str]) + Send) -> anyhow::Result<Tested> {
     let begin = Instant::now();
     let (runner, mut report) = Runner::new(workspace, plan)?;
-    let build = |runner: &Runner| build::run(workspace, runner.precedence.of_build(), |program| runner.ready(program));
+    let build = |runner: &Runner| {
+        let before = runner.precedence.of_build();
+        let built = build::run(workspace, before, |program| runner.ready(program))?;
+        after_build(before);
+        Ok(built)
+    };
     let built = runner.run(build, &mut report)?;
     report.add(runner::doctests(workspace, plan.filter.as_deref())?);
     if report.is_empty() {

@@ -168,21 +168,28 @@ struct Built {
     product: Option<Vec<u8>>,
 }
 
-/// A command of cargo with the profile and the flags of the guests' programs: what is built with it is not built again for them.
-pub fn cargo_of_guests(workspace: &Workspace, subcommand: &str) -> Command {
-    let mut command = workspace.cargo();
-    command.args([subcommand, "--locked", "--profile", PROFILE, "--target", TARGET]);
-    command.env("RUSTFLAGS", RUSTFLAGS).env_remove("CARGO_ENCODED_RUSTFLAGS");
-    command
+/// The build of the programs of some suites, with a command prefix.
+pub fn build_of_suites(workspace: &Workspace, before: &[&str], names: &[String]) -> Command {
+    let suites: Vec<&Suite> = SUITES.iter().filter(|suite| names.iter().any(|name| name == suite.name)).collect();
+    build_command(workspace.cargo_after(before), &suites)
 }
 
-/// All programs in one call of cargo, because otherwise their common code would be built once for each.
-fn build<'a>(workspace: &Workspace, suites: &[&'a Suite]) -> anyhow::Result<Vec<(&'a Suite, Built)>> {
-    let mut command = cargo_of_guests(workspace, "build");
-    command.arg("--quiet");
+fn build_command(mut cargo: Command, suites: &[&Suite]) -> Command {
+    cargo.args(["build", "--quiet", "--locked", "--profile", PROFILE, "--target", TARGET]);
+    cargo.env("RUSTFLAGS", RUSTFLAGS).env_remove("CARGO_ENCODED_RUSTFLAGS");
+    cargo.args(programs_of(suites));
+    cargo
+}
+
+/// The folder of the programs in the target folder.
+pub fn folder_of_programs(target: &Path) -> PathBuf {
+    target.join(TARGET).join(PROFILE)
+}
+
+/// The arguments of cargo that name the programs of some suites.
+fn programs_of(suites: &[&Suite]) -> Vec<&'static str> {
     let mut asked: Vec<[&str; 2]> = Vec::new();
     for suite in suites {
-        println!("-- {}: {}", suite.name, suite.what);
         asked.extend([["--package", suite.package], ["--example", suite.example]]);
         if suite.has_product {
             asked.extend([["--package", "pb3dp-orchestrator"], ["--bin", "pb3dp"]]);
@@ -190,9 +197,14 @@ fn build<'a>(workspace: &Workspace, suites: &[&'a Suite]) -> anyhow::Result<Vec<
     }
     asked.sort_unstable();
     asked.dedup();
-    command.args(asked.concat());
-    run_visibly(&mut command)?;
-    let folder = workspace.target_folder()?.join(TARGET).join(PROFILE);
+    asked.concat()
+}
+
+/// All programs in one call of cargo, because otherwise their common code would be built once for each.
+fn build<'a>(workspace: &Workspace, suites: &[&'a Suite]) -> anyhow::Result<Vec<(&'a Suite, Built)>> {
+    suites.iter().for_each(|suite| println!("-- {}: {}", suite.name, suite.what));
+    run_visibly(&mut build_command(workspace.cargo(), suites))?;
+    let folder = folder_of_programs(&workspace.target_folder()?);
     let read = |name: &str| {
         let file = folder.join(name);
         std::fs::read(&file).with_context(|| format!("{} was not built", file.display()))

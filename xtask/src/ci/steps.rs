@@ -21,8 +21,12 @@ pub struct Progress<'a> {
     pub workspace: &'a Workspace,
     /// The change.
     pub changes: Changes,
+    /// Whether a single step runs.
+    pub is_alone: bool,
     /// Results of the step `test`.
     pub tested: Option<test::Tested>,
+    /// The build of the programs for emulated computers, beside the tests and the steps after them.
+    pub ahead: Option<Beside>,
     /// A command that runs beside the later steps.
     pub beside: Option<Beside>,
 }
@@ -71,6 +75,13 @@ impl Drop for Beside {
 }
 
 impl Progress<'_> {
+    /// Waits for the build beside the steps. If it failed, so does the next one, and says why.
+    fn end_build(&mut self) {
+        if let Some(ahead) = self.ahead.take() {
+            let _ = ahead.end();
+        }
+    }
+
     /// Folder of the programs that the step `test` built, if it ran.
     fn programs(&self) -> Option<&Path> {
         self.tested.as_ref().and_then(|tested| tested.built.folder().ok())
@@ -117,7 +128,6 @@ pub const STEPS: [Step; 19] = [
         of: &["pb3dp-calibration", "pb3dp-orchestrator"],
         run: |progress| commissioning::calibrate(progress.workspace, progress.programs()),
     },
-    Step { name: "panel", of: &["pb3dp-panel"], run: |progress| panel::check(progress.workspace, progress.programs()) },
     Step {
         name: "recordings",
         of: &["pb3dp-bag", "pb3dp-recording", "pb3dp-camera-replay", "pb3dp-orchestrator"],
@@ -128,7 +138,8 @@ pub const STEPS: [Step; 19] = [
         of: &["pb3dp-python", "pb3dp-orchestrator"],
         run: |progress| python_package::check(progress.workspace, progress.programs()),
     },
-    Step { name: "accuracy", of: &["pb3dp-benchmarks"], run: accuracy },
+    Step { name: "panel", of: &["pb3dp-panel"], run: driven_panel },
+    Step { name: "accuracy", of: &[MEASURED], run: accuracy },
     Step { name: "vm", of: &["pb3dp-arm-pa10-emulation", "pb3dp-camera-v4l2", "system-tests"], run: guests },
     Step { name: "fuzz", of: FUZZED, run: |progress| fuzz_build::run(progress.workspace) },
     Step { name: "miri", of: KERNELS, run: |progress| miri::run(progress.workspace) },
@@ -167,11 +178,42 @@ fn tests(progress: &mut Progress<'_>) -> anyhow::Result<()> {
         Changes::Everything(_) => test::Long::Everywhere,
         Changes::Packages { names, .. } => test::Long::In(names.iter().cloned().collect()),
     };
-    let tested = test::all(progress.workspace, &test::Plan { long, filter: None })?;
+    let (workspace, changes, is_alone) = (progress.workspace, &progress.changes, progress.is_alone);
+    let mut ahead = None;
+    let start = |before: &[&str]| ahead = if is_alone { None } else { build_ahead(workspace, changes, before) };
+    let tested = test::all(workspace, &test::Plan { long, filter: None }, start)?;
+    progress.ahead = ahead;
     let tested = progress.tested.insert(tested);
     tested.report.conclude()?;
     required::check(&tested.report)
 }
+
+/// Starts the build for `accuracy` and `vm`, where a program of lower priority disturbs no test: the last tests and the steps after them keep
+/// one processor busy.
+fn build_ahead(workspace: &Workspace, changes: &Changes, before: &[&str]) -> Option<Beside> {
+    if before.is_empty() || !changes.touch(&[MEASURED]) {
+        return None;
+    }
+    let log = workspace.target_folder().ok()?.join("ci-guests.log");
+    Beside::start("the build for emulated computers", &mut build_of_guests(workspace, changes, before), log).ok()
+}
+
+/// One build of the benchmark and of all programs for emulated computers: with other packages their dependencies have other features.
+fn build_of_guests(workspace: &Workspace, changes: &Changes, before: &[&str]) -> Command {
+    let mut command = match vm::CAN_BE_BUILT {
+        true => vm::build_of_suites(workspace, before, &vm::suites_of(|package| changes.touch(&[package]))),
+        false => {
+            let mut command = workspace.cargo_after(before);
+            command.args(["build", "--release", "--locked"]);
+            command
+        }
+    };
+    command.args(["--package", MEASURED, "--bin", "pb3dp-bench"]);
+    command
+}
+
+/// The package of the accuracy benchmark.
+const MEASURED: &str = "pb3dp-benchmarks";
 
 /// The feature that lets tests disable safeguards.
 const SWITCHES: &str = "disabled-guards";
@@ -191,28 +233,24 @@ fn safeguards(workspace: &Workspace) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// The panel in a browser, on a quiet machine.
+fn driven_panel(progress: &mut Progress<'_>) -> anyhow::Result<()> {
+    progress.end_build();
+    panel::check(progress.workspace, progress.programs())
+}
+
 /// The accuracy benchmark with few poses: fails if a limit is not met. Built as the programs of the emulated computers are: with the
 /// checks of the test build the run takes more than three times as long (over 9 minutes instead of 3, 2026-11-22). It runs beside the
 /// later steps: it keeps one processor busy, and so does the emulation of a computer, whose time is counted, not measured.
 fn accuracy(progress: &mut Progress<'_>) -> anyhow::Result<()> {
     let workspace = progress.workspace;
-    let cargo = |subcommand: &str| {
-        let mut command = match vm::CAN_BE_BUILT {
-            true => vm::cargo_of_guests(workspace, subcommand),
-            false => {
-                let mut command = workspace.cargo();
-                command.args([subcommand, "--release", "--locked"]);
-                command
-            }
-        };
-        command.args(["--package", "pb3dp-benchmarks", "--bin", "pb3dp-bench"]);
-        command
-    };
-    run_visibly(&mut cargo("build"))?;
-    let log = workspace.target_folder()?.join("ci-accuracy.log");
-    let mut command = cargo("run");
-    command.args(["--", "accuracy", "--quick"]);
-    progress.beside = Some(Beside::start("accuracy", &mut command, log)?);
+    progress.end_build();
+    run_visibly(&mut build_of_guests(workspace, &progress.changes, &[]))?;
+    let target = workspace.target_folder()?;
+    let folder = if vm::CAN_BE_BUILT { vm::folder_of_programs(&target) } else { target.join("release") };
+    let mut command = Command::new(folder.join("pb3dp-bench"));
+    command.args(["accuracy", "--quick"]).current_dir(workspace.root());
+    progress.beside = Some(Beside::start("accuracy", &mut command, target.join("ci-accuracy.log"))?);
     Ok(())
 }
 
