@@ -475,17 +475,20 @@ impl DirectTracker {
             out.cam_left_from_model = Some(pose);
             out.covariance = target.covariance;
             out.fitness = Some(target.fit.correlation[0].min(target.fit.correlation[1]));
+            let doubt_m = target.doubtful_period_m();
+            if let Some(period_m) = doubt_m {
+                let _ = write!(
+                    out.reason,
+                    "the texture repeats every {:.1} mm, and neither the images nor the motion tell by how many periods the target has \
+                     moved: mark the target again, with its border or a mark that is unique; except for that, ",
+                    1e3 * period_m
+                );
+            }
             (out.status, out.observed) =
                 self.judge_covariance(target.covariance.as_ref(), pose.translation_m().norm(), &mut out.reason);
             out.rotation_about_normal_observed = out.observed.is_none_or(|observed| observed[5]);
-            if let Some(period_m) = target.doubtful_period_m() {
+            if doubt_m.is_some() {
                 out.status = Status::Ambiguous;
-                let _ = write!(
-                    out.reason,
-                    "; the texture repeats every {:.1} mm, and neither the images nor the motion tell by how many periods the \
-                     target has moved: mark the target again, with its border or a mark that is unique",
-                    1e3 * period_m
-                );
             }
             let project = |point: &Point3<f64>| self.rig.left().project(&pose.transform_point(point));
             out.outline_px.extend(target.outline_in_model.iter().filter_map(project));

@@ -77,6 +77,9 @@ fn track(target: &Repeating, positions: &[Vector2<f64>]) -> Counts {
             counts.ok += u32::from(is_ok);
             counts.wrong += u32::from(is_ok && is_off);
             counts.ambiguous += u32::from(estimate.status == Status::Ambiguous);
+            // The doubt comes before what is well determined.
+            let is_doubt_first = estimate.reason.starts_with("the texture repeats every");
+            assert_eq!(estimate.status == Status::Ambiguous, is_doubt_first, "{}", estimate.reason);
         }
     }
     counts
