@@ -71,16 +71,17 @@ def test_the_visible_surface_of_a_region(tmp_path):
     rig = pb3dp.StereoRig.load(folder / "calib.json")
     estimator = pb3dp.Estimator(rig, z_range_m=(350 * 1e-3, 800 * 1e-3))
     left, right = map(pb3dp.read_image, files)
-    positions, sigmas, colours = estimator.visible_surface(left, right, pb3dp.Region.parse("rect:150,120,90,80"))
+    positions, sigmas, colours, measured = estimator.visible_surface(left, right, pb3dp.Region.parse("rect:150,120,90,80"))
     cloud = tmp_path / "cloud.ply"
     lines("estimate", "--left", files[0], "--right", files[1], "--calib", folder / "calib.json", "--region", "rect:150,120,90,80",
           "--z-range", "350,800", "--surface", cloud, "--json")
     _, stored = cloud.read_bytes().split(b"end_header\n", 1)
-    stored = np.frombuffer(stored, [("xyz", "<f4", 3), ("sigma", "<f4"), ("rgb", "u1", 3)])
+    stored = np.frombuffer(stored, [("xyz", "<f4", 3), ("sigma", "<f4"), ("rgb", "u1", 3), ("measured", "?")])
     assert 6000 < len(stored) == len(positions)
     assert np.array_equal(stored["xyz"], (1e3 * positions).astype(np.float32))
     assert np.array_equal(stored["sigma"], (1e3 * sigmas).astype(np.float32))
     assert np.array_equal(stored["rgb"], colours)
+    assert np.array_equal(stored["measured"], measured) and measured.mean() > 0.5
 
 
 @pytest.mark.parametrize("method", ["direct", "published"])

@@ -35,7 +35,7 @@ pub enum EstimateWarning {
         limit_deg: f64,
     },
     /// The region is not planar.
-    #[error("the region is not planar: mark a flat part, or track it (tracking recovers the surface)")]
+    #[error("the region is not planar: mark a flat part, write its surface (--surface), or track it")]
     NoPlane,
     /// The tracker follows a part of the region.
     #[error("the region shows several surfaces: the largest one is followed, {percent:.0} % of the region")]

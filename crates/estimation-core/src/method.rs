@@ -264,6 +264,8 @@ pub struct VisiblePoint {
     pub position_in_cam_left_m: Point3<f64>,
     /// Standard deviation along the ray of the pixel, metres. Those of neighbours are not independent.
     pub sigma_m: f64,
+    /// Whether the pixel has a match in the right image; otherwise its neighbours do.
+    pub is_measured: bool,
     /// Red, green, blue in the left image, 0 to 255.
     pub rgb: [u8; 3],
 }

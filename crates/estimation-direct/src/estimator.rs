@@ -305,7 +305,7 @@ impl DirectEstimator {
             search_area_px: shape::AREA_MAX_PX,
         };
         let mut pyramid = RegionPyramid::default();
-        if !pyramid.update(&self.front_end, &source) {
+        if is_same_image(left, right) || !pyramid.update(&self.front_end, &source) {
             return Ok(Vec::new());
         }
         let search = &self.config.cold_start.search;
@@ -320,7 +320,8 @@ impl DirectEstimator {
             let is_inside = u >= 0.0 && v >= 0.0 && u < f64::from(left.width()) && v < f64::from(left.height());
             let sigma_m = z_m * z_m / view.geometry.focal_baseline_px_m() * pixel.sigma_px * ray.norm();
             let rgb = is_inside.then(|| left.get_pixel(u as u32, v as u32).0)?;
-            Some(VisiblePoint { pixel_px, position_in_cam_left_m, sigma_m, rgb })
+            let is_measured = pixel.is_measured;
+            Some(VisiblePoint { pixel_px, position_in_cam_left_m, sigma_m, is_measured, rgb })
         };
         Ok(pixels.iter().filter_map(point).collect())
     }

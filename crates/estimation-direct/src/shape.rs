@@ -14,7 +14,7 @@ use super::search::volume::LevelBox;
 use super::search::{PlaneSearch, PlaneSearchConfig};
 
 /// The shape of a larger region is computed at half the size, or less. Chosen by hand, not varied: memory and time grow with it.
-pub(super) const AREA_MAX_PX: usize = 60_000;
+pub(super) const AREA_MAX_PX: usize = 160_000;
 /// Costs of changes of disparity. Larger than those of the search for planes, which collects single clear pixels. Chosen: of 7 to 79
 /// regions of each kind (non-planar, across an edge, textured, low texture, small), 0.3 to 1.2 % more pixels are within 1 px of the
 /// truth than with 20 and 90, and as many as with 40 and 120.
@@ -37,6 +37,7 @@ pub(super) struct ShapePixel {
     pub(super) at_px: Vector2<f64>,
     pub(super) disparity_px: f64,
     pub(super) sigma_px: f64,
+    pub(super) is_measured: bool,
 }
 
 /// The disparities of a region, row by row; none if the right image shows none of the range.
@@ -74,6 +75,7 @@ pub(super) fn shape_of(
 struct Value {
     disparity: f32,
     sigma: f32,
+    is_measured: bool,
 }
 
 /// Median of the clear disparities around a pixel, and their scatter about it; `None` if the pixel itself has no clear one.
@@ -88,7 +90,7 @@ fn around(values: &[f32], [width, height]: [usize; 2], [x, y]: [usize; 2], near:
     let disparity = *near.select_nth_unstable_by(middle, f32::total_cmp).1;
     near.iter_mut().for_each(|d| *d = (*d - disparity).abs());
     let scatter = 1.4826 * f64::from(*near.select_nth_unstable_by(middle, f32::total_cmp).1);
-    Some(Value { disparity, sigma: SMOOTH_SIGMA_PX.hypot(scatter) as f32 })
+    Some(Value { disparity, sigma: SMOOTH_SIGMA_PX.hypot(scatter) as f32, is_measured: true })
 }
 
 /// Gives the pixels of a row that have none a disparity of their neighbours, with half of the difference as an additional error.
@@ -100,7 +102,9 @@ fn fill(row: &mut [Option<Value>]) {
         for (i, value) in row[first..end].iter_mut().enumerate() {
             *value = match (before, after) {
                 (Some(a), Some(b)) => Some(between(a, b, (i + 1) as f32 / (end - first + 1) as f32)),
-                (one, other) => one.or(other).map(|one| Value { sigma: one.sigma.hypot(EDGE_PX), ..one }),
+                (one, other) => {
+                    one.or(other).map(|one| Value { sigma: one.sigma.hypot(EDGE_PX), is_measured: false, ..one })
+                }
             };
         }
         x = end;
@@ -114,7 +118,7 @@ fn between(a: Value, b: Value, share: f32) -> Value {
         true => a.disparity.min(b.disparity),
         false => a.disparity + share * (b.disparity - a.disparity),
     };
-    Value { disparity, sigma: a.sigma.max(b.sigma).hypot(0.5 * apart) }
+    Value { disparity, sigma: a.sigma.max(b.sigma).hypot(0.5 * apart), is_measured: false }
 }
 
 fn pixel(level: &RegionLevel, area: LevelBox, first: i32, [x, y]: [usize; 2], value: Value) -> ShapePixel {
@@ -123,5 +127,6 @@ fn pixel(level: &RegionLevel, area: LevelBox, first: i32, [x, y]: [usize; 2], va
         at_px: level.full_from_level(&Vector2::new((area.x + x) as f64, (area.y + y) as f64)),
         disparity_px: scale * (f64::from(value.disparity) + f64::from(first)),
         sigma_px: scale * f64::from(value.sigma),
+        is_measured: value.is_measured,
     }
 }

@@ -133,6 +133,7 @@ const ESTIMATE_JSON: &str = "Lines of --json (one per case):
   observed          six booleans or null: whether x, y, z and the turns about them are determined
                     (the region itself fixes x, y and the turn about z)
   row_offset_px     row of the right image minus row of the left one (rectified), as measured, or null
+  surface           only with --surface: file, points, measured (points with a match of their own), sigma_median_mm
   reason            what led to the status
   warnings          what may make the answer worse than it looks";
 
@@ -169,7 +170,8 @@ pub struct EstimateArgs {
     #[arg(long)]
     pub reference_optimum: bool,
     /// Write the visible surface of the region, pixel by pixel, with its colours and standard deviations into this PLY file, in the
-    /// frame of the left camera (direct only): for objects that are no plane.
+    /// frame of the left camera and in millimetres (direct only): for objects that are no plane. Of a region of more than 160 000
+    /// pixels every second or fourth one.
     #[arg(long, value_name = "FILE", conflicts_with = "cases")]
     pub surface: Option<PathBuf>,
     /// Estimation options.

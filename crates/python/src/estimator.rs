@@ -107,8 +107,9 @@ impl Estimator {
     }
 }
 
-/// Positions, standard deviations and colours of points.
-type Visible<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray2<u8>>);
+/// Positions, standard deviations, colours, and whether they are measured, of points.
+type Visible<'py> =
+    (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray2<u8>>, Bound<'py, PyArray1<bool>>);
 
 #[pymethods]
 impl Estimator {
@@ -177,8 +178,9 @@ impl Estimator {
     }
 
     /// The visible surface of a region, pixel by pixel, for objects that are no plane: positions in `cam_left` N x 3 in metres, standard
-    /// deviations along the rays of the pixels N in metres, colours N x 3. Those of neighbours are not independent. Empty for the published
-    /// method, and if the right image shows no depth of the range. `left`, `right` and `region` as for `estimate`.
+    /// deviations along the rays of the pixels N in metres, colours N x 3, and whether the pixel has a match of its own in the right image;
+    /// others have a depth of their neighbours. Errors of neighbours are not independent. Empty for the published method, and if the right
+    /// image shows no depth of the range. If less than half of the points have a match, the depth range or the calibration is wrong. `left`, `right` and `region` as for `estimate`.
     fn visible_surface<'py>(
         &self,
         py: Python<'py>,
@@ -195,6 +197,7 @@ impl Estimator {
             arrays::matrix(py, 3, positions.collect())?,
             arrays::vector(py, &sigmas),
             arrays::colours(py, points.iter().map(|point| point.rgb))?,
+            PyArray1::from_iter(py, points.iter().map(|point| point.is_measured)),
         ))
     }
 

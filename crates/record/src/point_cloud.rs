@@ -1,7 +1,8 @@
 //! Coloured surface points in PLY files for MeshLab, CloudCompare and Open3D.
 //!
 //! Binary little-endian; per vertex `x y z` (single precision, millimetres), `nx ny nz` (unit vector) if the normals are known, `sigma`
-//! (standard deviation along the ray of the camera, millimetres), and `red green blue` (bytes). A comment in the header names the frame and
+//! (standard deviation along the ray of the camera, millimetres), `red green blue` (bytes), and `measured` (a byte: 1, or 0 for a point
+//! that only its neighbours determine). A comment in the header names the frame and
 //! the unit.
 
 use std::fs::File;
@@ -26,6 +27,8 @@ pub struct SurfacePoint {
     pub sigma_m: f64,
     /// Red, green, blue.
     pub rgb: [u8; 3],
+    /// Whether the images determine the point; otherwise its neighbours do.
+    pub is_measured: bool,
 }
 
 /// Why a cloud could not be written.
@@ -52,7 +55,7 @@ pub enum PointCloudError {
 const POSITION: [&str; 3] = ["x", "y", "z"];
 const NORMAL: [&str; 3] = ["nx", "ny", "nz"];
 const SIGMA: [&str; 1] = ["sigma"];
-const COLOUR: [&str; 3] = ["red", "green", "blue"];
+const BYTES: [&str; 4] = ["red", "green", "blue", "measured"];
 
 /// Writes a cloud whose coordinates are in the frame `F`.
 ///
@@ -81,7 +84,7 @@ fn cloud(frame: &str, points: &[SurfacePoint]) -> Ply<DefaultElement> {
     let normal = if has_normals { &NORMAL[..] } else { &[] };
     let float = ScalarType::Float;
     for (names, scalar) in
-        [(&POSITION[..], &float), (normal, &float), (&SIGMA[..], &float), (&COLOUR[..], &ScalarType::UChar)]
+        [(&POSITION[..], &float), (normal, &float), (&SIGMA[..], &float), (&BYTES[..], &ScalarType::UChar)]
     {
         for name in names {
             vertex.properties.add(PropertyDef::new((*name).to_owned(), PropertyType::Scalar(scalar.clone())));
@@ -99,7 +102,7 @@ fn element(point: &SurfacePoint) -> DefaultElement {
     for (name, value) in names.zip(values.0.iter().chain(values.1.iter()).copied().chain([1e3 * point.sigma_m])) {
         element.insert((*name).to_owned(), Property::Float(value as f32));
     }
-    for (name, value) in COLOUR.iter().zip(point.rgb) {
+    for (name, value) in BYTES.iter().zip(point.rgb.into_iter().chain([u8::from(point.is_measured)])) {
         element.insert((*name).to_owned(), Property::UChar(value));
     }
     element
@@ -111,16 +114,17 @@ mod tests {
     use pb3dp_geometry::frames::Model;
 
     fn points() -> Vec<SurfacePoint> {
-        let point = |x: f64, rgb| SurfacePoint {
+        let point = |x: f64, rgb: [u8; 3]| SurfacePoint {
             position_m: Point3::new(x, -0.0125, 0.5),
             normal: Some(Vector3::new(0.0, 0.6, -0.8)),
             sigma_m: 0.0005,
+            is_measured: rgb[0] == 255,
             rgb,
         };
         vec![point(0.25, [255, 0, 128]), point(-0.001, [1, 2, 3])]
     }
 
-    /// The bytes of the format, computed by hand: an ASCII header, then 31 bytes per vertex.
+    /// The bytes of the format, computed by hand: an ASCII header, then 32 bytes per vertex.
     #[test]
     fn the_file_is_what_the_format_says() {
         let folder = tempfile::tempdir().unwrap();
@@ -135,11 +139,11 @@ mod tests {
         assert!(header.contains("frame model, millimetres") && lines.contains(&"element vertex 2"), "{header}");
         let properties: Vec<&str> = lines.iter().copied().filter(|line| line.starts_with("property")).collect();
         let names: Vec<&str> = properties.iter().filter_map(|line| line.split(' ').nth(2)).collect();
-        assert_eq!(names, ["x", "y", "z", "nx", "ny", "nz", "sigma", "red", "green", "blue"]);
-        assert_eq!(bytes.len() - at, 2 * 31);
+        assert_eq!(names, ["x", "y", "z", "nx", "ny", "nz", "sigma", "red", "green", "blue", "measured"]);
+        assert_eq!(bytes.len() - at, 2 * 32);
         let float = |i: usize| f32::from_le_bytes(bytes[at + i..at + i + 4].try_into().unwrap());
         assert_eq!([float(0), float(4), float(8), float(16), float(24)], [250.0, -12.5, 500.0, 0.6, 0.5]);
-        assert_eq!((&bytes[at + 28..at + 31], float(31)), (&[255, 0, 128][..], -1.0));
+        assert_eq!((&bytes[at + 28..at + 32], float(32)), (&[255, 0, 128, 1][..], -1.0));
     }
 
     #[test]
@@ -151,7 +155,7 @@ mod tests {
         let bytes = std::fs::read(&file).unwrap();
         let header_end = bytes.windows(11).position(|window| window == b"end_header\n").unwrap() + 11;
         assert!(!String::from_utf8_lossy(&bytes[..header_end]).contains("nx"));
-        assert_eq!(bytes.len() - header_end, 2 * 19);
+        assert_eq!(bytes.len() - header_end, 2 * 20);
         assert_eq!(f32::from_le_bytes(bytes[header_end + 12..header_end + 16].try_into().unwrap()), 0.5);
     }
 

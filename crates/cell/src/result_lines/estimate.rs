@@ -46,10 +46,26 @@ pub struct EstimateLine {
     pub observed: Option<[bool; 6]>,
     /// Row of the right image minus row of the left one, of the rectified pair, pixels.
     pub row_offset_px: Option<f64>,
+    /// The file of the visible surface; only if one was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub surface: Option<SurfaceLine>,
     /// Reason for the status.
     pub reason: String,
     /// Warnings: what may make the answer worse than its status.
     pub warnings: Vec<String>,
+}
+
+/// The file of a visible surface.
+#[derive(Clone, Debug, Serialize)]
+pub struct SurfaceLine {
+    /// Its path.
+    pub file: String,
+    /// Number of points.
+    pub points: usize,
+    /// Number of points with a match of their own in the right image.
+    pub measured: usize,
+    /// Median of the standard deviations, millimetres.
+    pub sigma_median_mm: f64,
 }
 
 /// A second surface in the region.
@@ -95,6 +111,7 @@ impl EstimateLine {
             calibration_covariance: None,
             observed: None,
             row_offset_px: None,
+            surface: None,
             reason,
             warnings: Vec::new(),
         }
@@ -125,6 +142,7 @@ impl EstimateLine {
             covariance: frame.and_then(|frame| frame.covariance).as_ref().map(covariance_mm),
             observed: estimate.observed,
             row_offset_px: estimate.row_offset_px,
+            surface: None,
             warnings: estimate.warnings.iter().map(ToString::to_string).collect(),
             ..Self::of_error(case, method, estimate.reason.clone())
         }

@@ -4,5 +4,5 @@ mod estimate;
 pub mod millimetres;
 mod track;
 
-pub use estimate::{EstimateLine, SecondPlaneLine};
+pub use estimate::{EstimateLine, SecondPlaneLine, SurfaceLine};
 pub use track::TrackLine;

@@ -10,7 +10,7 @@ use anyhow::{Context, Result, bail};
 /// If it cannot.
 pub fn check_writable(option: &str, file: &Path) -> Result<()> {
     let refused = || format!("{option} {}: cannot be written", file.display());
-    if file.is_dir() {
+    if is_folder(file) {
         bail!("{option} {}: is a folder: give the name of a file", file.display());
     }
     std::fs::create_dir_all(file.parent().unwrap_or(Path::new(""))).with_context(refused)?;
@@ -20,6 +20,28 @@ pub fn check_writable(option: &str, file: &Path) -> Result<()> {
         std::fs::remove_file(file).with_context(refused)?;
     }
     Ok(())
+}
+
+/// As [`check_writable`], for a cloud of points.
+///
+/// # Errors
+/// Also if the name does not end with `.ply`.
+pub fn check_cloud(option: &str, file: &Path) -> Result<()> {
+    let is_cloud = file.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("ply"));
+    if !is_cloud && !is_folder(file) {
+        bail!("{option} {}: clouds are written as PLY: let the name end with .ply", file.display());
+    }
+    check_writable(option, file)
+}
+
+/// Whether it is a folder, or looks like one.
+fn is_folder(file: &Path) -> bool {
+    file.is_dir() || file.as_os_str().as_encoded_bytes().ends_with(b"/")
+}
+
+/// Whether both paths are one file that exists.
+pub fn is_same_file(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
 
 /// `crab.ply` with a number: `crab-1.ply`.

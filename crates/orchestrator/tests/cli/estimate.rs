@@ -372,9 +372,9 @@ fn the_visible_surface_is_a_cloud_in_the_frame_of_the_left_camera() {
     let at = bytes.windows(end.len()).position(|window| window == end).unwrap() + end.len();
     let header = String::from_utf8_lossy(&bytes[..at]);
     assert!(header.contains("frame cam_left, millimetres") && header.contains("float sigma"), "{header}");
-    // Three floats, the standard deviation, three bytes.
+    // Three floats, the standard deviation, four bytes.
     let floats = |chunk: &[u8]| [0, 1, 2, 3].map(|k| f32::from_le_bytes(chunk[4 * k..4 * k + 4].try_into().unwrap()));
-    let points: Vec<[f64; 4]> = bytes[at..].chunks(19).map(|chunk| floats(chunk).map(f64::from)).collect();
+    let points: Vec<[f64; 4]> = bytes[at..].chunks(20).map(|chunk| floats(chunk).map(f64::from)).collect();
     assert!(points.len() > 6500 && points.len() <= 7000, "{} points", points.len());
     let target_from_cam_left = pair.cam_left_from_target.inverse();
     let behind_mm =
@@ -385,6 +385,30 @@ fn the_visible_surface_is_a_cloud_in_the_frame_of_the_left_camera() {
     assert!(on_card > 0.3 && behind > 0.3 && on_card + behind > 0.9, "{on_card} on the card, {behind} behind");
     assert!(points.iter().all(|[.., sigma_mm]| (0.05..200.0).contains(sigma_mm)), "{:?}", points[0]);
 
+    let told = &with(&[&"--surface", &cloud, &"--json"]).assert_success();
+    let line: Value = serde_json::from_str(told.stdout.lines().next().unwrap()).unwrap();
+    assert_eq!(line["surface"]["points"], points.len(), "{line}");
+    assert!(line["surface"]["measured"].as_u64().unwrap() as f64 > 0.7 * points.len() as f64, "{line}");
+    let wrong = with(&[&"--surface", &cloud, &"--z-range", &"3000,9000"]);
+    wrong.assert_refused(&["not written", "have a match in the right image", "--z-range"]);
+    with(&[&"--surface", &left]).assert_refused(&["--surface", "end with .ply"]);
+    let image = pair.file("image.ply");
+    std::fs::copy(&left, &image).unwrap();
+    let own = pb3dp(&words(&[
+        &"estimate",
+        &"--left",
+        &image,
+        &"--right",
+        &right,
+        &"--calib",
+        &calibration,
+        &"--region",
+        &region,
+        &"--surface",
+        &image,
+    ]));
+    own.assert_refused(&["is an input of this command"]);
+    assert_eq!(std::fs::read(&image).unwrap(), std::fs::read(&left).unwrap());
     with(&[&"--surface", &cloud, &"--method", &"published"]).assert_refused(&["--surface", "--method direct"]);
     pb3dp(&words(&[&"estimate", &"--cases", &cases, &"--surface", &cloud])).assert_refused(&["--surface"]);
 }

@@ -333,13 +333,13 @@ struct Vertex {
     rgb: [u8; 3],
 }
 
-/// Reads what `write_ply` writes: seven little-endian floats and three bytes per vertex.
+/// Reads what `write_ply` writes: seven little-endian floats and four bytes per vertex.
 fn vertices(file: &Path) -> Vec<Vertex> {
     let bytes = std::fs::read(file).unwrap();
     let end = b"end_header\n";
     let at = bytes.windows(end.len()).position(|window| window == end).unwrap() + end.len();
     assert!(String::from_utf8_lossy(&bytes[..at]).contains("frame model"), "the header names the frame");
-    assert_eq!((bytes.len() - at) % 31, 0);
+    assert_eq!((bytes.len() - at) % 32, 0);
     let float = |chunk: &[u8], k: usize| f32::from_le_bytes(chunk[4 * k..4 * k + 4].try_into().unwrap());
     let vertex = |chunk: &[u8]| Vertex {
         x_mm: float(chunk, 0),
@@ -349,7 +349,7 @@ fn vertices(file: &Path) -> Vec<Vertex> {
         sigma_mm: float(chunk, 6),
         rgb: chunk[28..31].try_into().unwrap(),
     };
-    bytes[at..].chunks(31).map(vertex).collect()
+    bytes[at..].chunks(32).map(vertex).collect()
 }
 
 /// White paper that is saturated in one image tells nothing about its surface. It counted as another surface, and of two boards a small part

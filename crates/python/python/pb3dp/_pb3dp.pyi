@@ -29,6 +29,7 @@ __version__: str
 
 _Floats = npt.NDArray[np.float64]
 _Bytes = npt.NDArray[np.uint8]
+_Bools = npt.NDArray[np.bool_]
 _Image = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 _Path = str | os.PathLike[str]
 _Corners = Sequence[Sequence[float]] | _Floats
@@ -142,7 +143,7 @@ class Estimator:
         centroid_px: tuple[float, float] | list[float] | None = None,
         deadline_ms: float | None = None,
     ) -> Estimate: ...
-    def visible_surface(self, left: _Image, right: _Image, region: Region) -> tuple[_Floats, _Floats, _Bytes]: ...
+    def visible_surface(self, left: _Image, right: _Image, region: Region) -> tuple[_Floats, _Floats, _Bytes, _Bools]: ...
     @property
     def method(self) -> str: ...
     @property

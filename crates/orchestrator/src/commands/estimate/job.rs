@@ -127,7 +127,10 @@ impl Job {
             (None, Some(corners)) if args.frame == 0 => {
                 Region::Polygon { vertices_px: corners.iter().map(|&[u, v]| Vector2::new(u, v)).collect() }
             }
-            (None, _) => bail!("this pair has no region: mark the object in its left image with --region"),
+            (None, _) => bail!(
+                "pair {} has no region: mark the object in its left image with --region; a region of the recording belongs to pair 0",
+                args.frame
+            ),
         };
         for warning in &recording.warnings {
             tracing::warn!("{warning}");

@@ -32,7 +32,7 @@ use self::job::{Job, pair_name};
 use self::rigs::Rigs;
 use super::overlay_folder::{make_overlay_folder, report_overlay_folder};
 use crate::arguments::{EstimateArgs, UNSURE};
-use crate::commands::output_file::check_writable;
+use crate::commands::output_file::{check_cloud, is_same_file};
 use crate::commands::pair::usable;
 use crate::progress::Progress;
 
@@ -49,7 +49,11 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
         if !method.recovers_surface() {
             bail!("--surface: the method {method} recovers no surface: use --method {}", Method::Direct);
         }
-        check_writable("--surface", file)?;
+        check_cloud("--surface", file)?;
+        let inputs = [&args.left, &args.right].into_iter().flatten().chain(&args.calib);
+        if let Some(input) = inputs.into_iter().find(|input| is_same_file(file, input)) {
+            bail!("--surface {}: is an input of this command: give another name", input.display());
+        }
     }
     let config = estimator_config(args.method.config.as_deref(), args.method.seed)?;
     let mut overlays = Overlays::open(args.method.overlay.as_deref())?;
@@ -178,9 +182,10 @@ fn work(
     let visible = args.surface.as_ref().map(|_| estimator.visible_surface(&request));
     rigs.give_back(estimator);
     let mut estimate = estimate?;
-    if let (Some(file), Some(points)) = (&args.surface, visible) {
-        surface::write(file, &points?)?;
-    }
+    let surface = match (&args.surface, visible) {
+        (Some(file), Some(points)) => Some(surface::write(file, &points?)?),
+        _ => None,
+    };
     if args.reference_optimum {
         estimate.reference_optimum = reference_optimum(job, method, config)?;
     }
@@ -188,6 +193,7 @@ fn work(
     tell(&job.name, &estimate);
     let mut line = EstimateLine::of(&job.name, method.name(), &estimate, (centroid_px, z_m), millis);
     line.calibration_covariance = calibration_covariance(job, &estimate, &centroid_px, &config.published.region)?;
+    line.surface = surface;
     line.warnings.extend(pair_warning);
     if let Err(error) = overlays.draw(job, &estimate, &line, &config.published.region) {
         tracing::warn!("{}: no image: {error:#}", job.name);

@@ -2,31 +2,50 @@
 
 use std::path::Path;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
+use pb3dp_cell::result_lines::SurfaceLine;
 use pb3dp_estimation::estimator::VisiblePoint;
 use pb3dp_geometry::frames::CamLeft;
 use pb3dp_record::point_cloud::{SurfacePoint, write_ply};
 
-/// Writes the points in `cam_left`; none, with a warning, if the right image shows none of the depth range.
+/// A surface with a smaller share of matched pixels is not written: with a wrong depth range or exchanged images pixels match by chance.
+/// Chosen with figures: of 21 real regions 63 to 98 % have a match; with ranges beside the object, or exchanged images, 24 to 54 %.
+const MEASURED_MIN: f64 = 0.55;
+
+/// Writes the points in `cam_left`, and tells what they are worth.
 ///
 /// # Errors
-/// If the file cannot be written.
-pub fn write(file: &Path, visible: &[VisiblePoint]) -> Result<()> {
-    if visible.is_empty() {
-        tracing::warn!(
-            "{}: not written: the right image shows no depth of the range; check --z-range and the calibration",
-            file.display()
+/// Too few pixels with a match in the right image, or a file that cannot be written.
+pub fn write(file: &Path, visible: &[VisiblePoint]) -> Result<SurfaceLine> {
+    let measured = visible.iter().filter(|point| point.is_measured).count();
+    let share = measured as f64 / visible.len().max(1) as f64;
+    if share < MEASURED_MIN {
+        bail!(
+            "--surface {}: not written: {:.0} % of the region's pixels have a match in the right image (at least {:.0} % are needed): check \
+             the depth range (--z-range), the calibration, and whether left and right are exchanged",
+            file.display(),
+            100.0 * share,
+            100.0 * MEASURED_MIN
         );
-        return Ok(());
     }
     let point = |point: &VisiblePoint| SurfacePoint {
         position_m: point.position_in_cam_left_m,
         normal: None,
         sigma_m: point.sigma_m,
         rgb: point.rgb,
+        is_measured: point.is_measured,
     };
     let points: Vec<SurfacePoint> = visible.iter().map(point).collect();
     write_ply::<CamLeft>(file, &points)?;
-    tracing::info!("{} surface points: {}", points.len(), file.display());
-    Ok(())
+    let mut sigmas_mm: Vec<f64> = visible.iter().map(|point| 1e3 * point.sigma_m).collect();
+    let middle = sigmas_mm.len() / 2;
+    let sigma_median_mm = *sigmas_mm.select_nth_unstable_by(middle, f64::total_cmp).1;
+    tracing::info!(
+        "{}: {} points of the visible surface, {:.0} % of them with a match of their own, standard deviation {sigma_median_mm:.2} mm (median); \
+         the status is that of the plane",
+        file.display(),
+        points.len(),
+        100.0 * share
+    );
+    Ok(SurfaceLine { file: file.display().to_string(), points: points.len(), measured, sigma_median_mm })
 }

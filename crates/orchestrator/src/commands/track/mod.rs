@@ -25,7 +25,7 @@ use self::csv::EstimateFiles;
 use self::overlays::Overlays;
 use self::walk::{Outcome, TargetResult, Walk};
 use crate::arguments::{TrackArgs, UNSURE};
-use crate::commands::output_file::check_writable;
+use crate::commands::output_file::check_cloud;
 use crate::progress::Progress;
 
 /// A replay does not wait for images: this time-out should never expire.
@@ -42,7 +42,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         bail!("--surface: the method {method} recovers no surface: use --method {}", Method::Direct);
     }
     if let Some(file) = &args.surface {
-        check_writable("--surface", file)?;
+        check_cloud("--surface", file)?;
     }
     let mut recording = wire_replay(&args.sequence, &args.calib, &args.recording, args.pace).context("--sequence")?;
     for note in recording.notes.iter().chain(&recording.camera.calibration().notes) {

@@ -28,6 +28,7 @@ pub fn write_all(file: &Path, targets: &[TrackedTarget]) -> Result<()> {
             normal: Some(point.normal_in_model),
             sigma_m: point.sigma_m,
             rgb: point.rgb,
+            is_measured: true,
         };
         let points: Vec<SurfacePoint> = found.iter().map(point).collect();
         write_ply::<Model>(&file, &points)?;
