@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use nalgebra::Vector6;
+use pb3dp_arm_pa10_protocol::gateway_protocol::SharedKey;
 use pb3dp_cell::cell::SimulatedCell;
 use pb3dp_hal_middleware::StartPose;
 use pb3dp_kinematics::{Damping, JointVector, reach};
@@ -21,8 +22,19 @@ use crate::scenario::Dice;
 
 /// Length of the history; disabling both arms takes less.
 const HISTORY: Duration = Duration::from_secs(5);
+/// Key of the lines that have one.
+const KEY: [u8; 32] = [7; 32];
 /// Share of the drives' speeds in `configs/sim.toml`, to which the rules refer.
 const SPEED_SCALE: f64 = 0.6;
+
+/// Kind of the lines between host and gateways.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Line {
+    /// A serial line.
+    Serial,
+    /// A connection with a key: its frames travel in authentic records.
+    Keyed,
+}
 
 /// The settings of a workcell that a setup states.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -33,6 +45,8 @@ pub struct Settings {
     pub dialect: &'static str,
     /// Share of the drives' speeds, percent.
     pub speed_percent: u32,
+    /// Lines to both gateways.
+    pub line: Line,
 }
 
 /// Where both arms start: the target arm with other joint angles, the hand in front of the target as before.
@@ -116,8 +130,12 @@ impl Differences {
         Self { friction_rad_per_s, load, hand_eye }
     }
 
-    fn apply(&self, cell: &mut SimulatedCell) -> Result<()> {
+    fn apply_to_cameras(&self, cell: &mut SimulatedCell) {
         cell.hand_from_cam_left = cell.hand_from_cam_left.perturbed_in_from(&self.hand_eye);
+    }
+
+    fn apply(&self, cell: &mut SimulatedCell) -> Result<()> {
+        self.apply_to_cameras(cell);
         for (arm, site) in [&cell.vs, &cell.tc].into_iter().enumerate() {
             let Some(plant) = site.joints.simulated() else { continue };
             let model = JointMechanics::default();
@@ -151,7 +169,7 @@ pub struct Workcell {
 impl Default for Workcell {
     /// The workcell of `configs/hil.toml`, exactly known.
     fn default() -> Self {
-        let settings = Settings { wire_format: "B", dialect: "gateway-v1", speed_percent: 60 };
+        let settings = Settings { wire_format: "B", dialect: "gateway-v1", speed_percent: 60, line: Line::Serial };
         Self { settings, lag: [1.0; 2], model_delay: 1.0, start: None, differences: None }
     }
 }
@@ -165,6 +183,7 @@ impl Workcell {
             wire_format: dice.pick(&["B", "A"]),
             dialect: dice.pick(&["gateway-v1", "transparent"]),
             speed_percent: dice.pick(&[60, 60, 60, 25, 10]),
+            line: Line::Serial,
         };
         let is_known = dice.unit() < 0.5;
         let mut factor = || FACTOR.powf(dice.within(-1.0, 1.0));
@@ -207,6 +226,11 @@ impl Workcell {
     pub fn change(&self, cell: &mut SimulatedCell) -> Result<()> {
         self.differences.iter().try_for_each(|differences| differences.apply(cell))
     }
+
+    /// Changes what a new host finds of the true cell: the cameras are where they were, whatever its calibration states.
+    pub fn change_again(&self, cell: &mut SimulatedCell) {
+        self.differences.iter().for_each(|differences| differences.apply_to_cameras(cell));
+    }
 }
 
 /// The setups of all settings, each read once.
@@ -230,7 +254,7 @@ impl Setups {
 }
 
 fn read(settings: Settings, rendered: bool) -> Result<Setup> {
-    let Settings { wire_format, dialect, speed_percent } = settings;
+    let Settings { wire_format, dialect, speed_percent, line } = settings;
     let of_arm = |arm: &str| {
         let gateway = format!("arms.{arm}.gateway");
         [format!("{gateway}.wire_format=\"{wire_format}\""), format!("{gateway}.dialect=\"{dialect}\"")]
@@ -246,6 +270,9 @@ fn read(settings: Settings, rendered: bool) -> Result<Setup> {
     }
     for arm in [&mut setup.rig.arms.vs, &mut setup.rig.arms.tc] {
         arm.plant.history = HISTORY;
+        if line == Line::Keyed {
+            arm.emulation_key = Some(SharedKey::new(&KEY)?);
+        }
     }
     Ok(setup)
 }

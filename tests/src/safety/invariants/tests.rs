@@ -542,3 +542,19 @@ fn motion_while_a_condition_inhibits_the_hand_is_found() {
     silent(&inhibited(true));
     assert_eq!(only(Invariant::RestWhileInhibited, &inhibited(false)).arm, Some(HAND_ARM));
 }
+
+#[test]
+fn a_recorder_that_stands_still_changes_no_motion() {
+    let undisturbed = run(2.0, always, |_| {});
+    assert_eq!(check_recorder_stall(&undisturbed, &undisturbed), None);
+    let mut moved = undisturbed.clone();
+    moved.steps[700].arms[1].position_rad[3] += 1e-12;
+    let violation = check_recorder_stall(&moved, &undisturbed).unwrap();
+    let place = (violation.invariant, violation.arm, violation.joint, violation.first_s);
+    assert_eq!(place, (Invariant::RecorderStall, Some(1), Some(3), undisturbed.steps[700].t_s));
+    let mut shorter = undisturbed.clone();
+    shorter.steps.truncate(900);
+    for (stalled, other) in [(&shorter, &undisturbed), (&undisturbed, &shorter)] {
+        assert_eq!(check_recorder_stall(stalled, other).unwrap().first_s, undisturbed.steps[900].t_s);
+    }
+}
