@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
 use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
 use pb3dp_cell::halves::Mover;
 use pb3dp_cell::moving::{Moved, Moving};
@@ -17,6 +17,7 @@ use crate::faults::{Fault, Kind};
 use crate::program_log::ProgramLog;
 use crate::recorder::{Shared, lock};
 use crate::scenario::Scenario;
+use system_tests::safety::truth::ARM_NAMES;
 
 /// Which faults have begun and ended, over all hosts of a run.
 #[derive(Default)]
@@ -45,7 +46,7 @@ pub struct Faulty<'a> {
     pub clock: Arc<dyn Clock>,
     pub recorder: Shared,
     pub log: ProgramLog,
-    pub ends: Vec<VirtualEnd>,
+    pub ends: [Option<VirtualEnd>; 2],
     /// Ends the control loop.
     pub interrupt: Arc<AtomicBool>,
     pub begin: MonotonicTime,
@@ -110,6 +111,10 @@ impl Faulty<'_> {
         self.happening.zero.unwrap_or(self.begin)
     }
 
+    fn end(&self, arm: usize) -> Result<&VirtualEnd> {
+        self.ends[arm].as_ref().with_context(|| format!("{} has no line", ARM_NAMES[arm]))
+    }
+
     /// Whether this host has died and another one follows.
     fn is_dead(&self) -> bool {
         self.scenario.restart.is_some() && self.interrupt.load(Ordering::SeqCst)
@@ -150,22 +155,23 @@ impl Faulty<'_> {
         match &fault.kind {
             Kind::Overrun(by_s) => self.clock.sleep_until(self.clock.now() + Duration::from_secs_f64(*by_s)),
             Kind::EmergencyStopOfBoth => {
-                for end in &self.ends {
+                for end in self.ends.iter().flatten() {
                     end.command_line("e-stop press")?;
                 }
             }
-            Kind::Unplugged(arm) => self.ends[*arm].unplug(),
-            Kind::GatewayRestart(arm) => self.ends[*arm].restart_gateway(),
+            Kind::Unplugged(arm) => self.end(*arm)?.unplug(),
+            Kind::GatewayRestart(arm) => self.end(*arm)?.restart_gateway(),
             Kind::HostDies if self.scenario.restart.is_some() => self.die(),
             Kind::HostDies => {
-                for line in self.ends.iter().flat_map(|end| [(end, "line deaf on"), (end, "line silence on")]) {
+                for line in self.ends.iter().flatten().flat_map(|end| [(end, "line deaf on"), (end, "line silence on")])
+                {
                     line.0.command_line(line.1)?;
                 }
                 lock(&self.recorder).dies(self.clock.now());
                 self.interrupt.store(true, Ordering::SeqCst);
             }
-            Kind::Arm { arm, line, .. } => self.ends[*arm].command_line(line)?,
-            Kind::Tampered(arm, towards, how) => self.ends[*arm].tamper(*towards, *how),
+            Kind::Arm { arm, line, .. } => self.end(*arm)?.command_line(line)?,
+            Kind::Tampered(arm, towards, how) => self.end(*arm)?.tamper(*towards, *how),
             _ => {}
         }
         Ok(())
@@ -178,7 +184,7 @@ impl Faulty<'_> {
         let mut recorder = lock(&self.recorder);
         recorder.dies(now);
         recorder.forget_host(now);
-        self.ends.iter().for_each(|end| end.lose_program(is_closed));
+        self.ends.iter().flatten().for_each(|end| end.lose_program(is_closed));
         self.log.set_closed(true);
         self.interrupt.store(true, Ordering::SeqCst);
         self.happening.has_died = true;
@@ -187,12 +193,12 @@ impl Faulty<'_> {
     fn end_fault(&self, fault: &Fault) -> Result<()> {
         match &fault.kind {
             Kind::EmergencyStopOfBoth => {
-                for end in &self.ends {
+                for end in self.ends.iter().flatten() {
                     end.command_line("e-stop release")?;
                 }
             }
-            Kind::Unplugged(arm) => self.ends[*arm].plug(),
-            Kind::Arm { arm, end: Some(line), .. } => self.ends[*arm].command_line(line)?,
+            Kind::Unplugged(arm) => self.end(*arm)?.plug(),
+            Kind::Arm { arm, end: Some(line), .. } => self.end(*arm)?.command_line(line)?,
             _ => {}
         }
         Ok(())

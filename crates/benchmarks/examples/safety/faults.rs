@@ -333,6 +333,14 @@ impl Kind {
         }
     }
 
+    /// Makes a fault of one arm one of this arm.
+    pub fn set_arm(&mut self, to: usize) {
+        if let Self::Unplugged(arm) | Self::GatewayRestart(arm) | Self::Tampered(arm, ..) | Self::Arm { arm, .. } = self
+        {
+            *arm = to;
+        }
+    }
+
     /// The arm that the log cannot see while the fault lasts: its controller has no power, or its replies are lost.
     pub fn hides(&self) -> Option<usize> {
         match self {

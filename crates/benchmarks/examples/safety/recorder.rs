@@ -50,10 +50,10 @@ pub struct Recorder {
     /// Time constants of the drives of both arms, seconds.
     lag_s: [f64; 2],
     cell: SimulatedCell,
-    /// Far ends of the lines of both arms.
-    ends: [VirtualEnd; 2],
-    /// What the present host knows of both arms; none after it has died.
-    monitors: Option<[ArmMonitor; 2]>,
+    /// Far ends of the lines of both arms; an arm that is simulated in the process has none.
+    ends: [Option<VirtualEnd>; 2],
+    /// What the present host knows of these arms; nothing after it has died.
+    monitors: [Option<ArmMonitor>; 2],
     begin: Option<MonotonicTime>,
     next: MonotonicTime,
     /// Last control step.
@@ -116,13 +116,17 @@ pub struct Recorder {
 
 impl Recorder {
     /// An empty record.
-    pub fn new(scenario: Scenario, cell: SimulatedCell, (monitors, ends): ([ArmMonitor; 2], [VirtualEnd; 2])) -> Self {
+    pub fn new(
+        scenario: Scenario,
+        cell: SimulatedCell,
+        (monitors, ends): ([Option<ArmMonitor>; 2], [Option<VirtualEnd>; 2]),
+    ) -> Self {
         Self {
             truth: Truth::default(),
             lag_s: scenario.workcell.rules().arms.map(|arm| arm.lag_s),
             cell,
             ends,
-            monitors: Some(monitors),
+            monitors,
             begin: None,
             next: MonotonicTime::ZERO,
             stepped_at: MonotonicTime::ZERO,
@@ -409,20 +413,6 @@ impl Recorder {
         (self.has_failed, self.stopped_at) = (true, Some(now));
     }
 
-    /// Enabling, which began at this time, has failed: the record begins with it, and nobody may move an arm.
-    pub fn not_enabled(&mut self, since: MonotonicTime, why: &anyhow::Error, now: MonotonicTime) {
-        if self.begin.is_none() {
-            self.begin_at(since);
-        }
-        self.failed(why, now);
-        self.noticed_enabling = true;
-    }
-
-    /// The control loop has ended: both arms are stopped since the last control step.
-    pub fn ended(&mut self, now: MonotonicTime) {
-        self.ends_at.get_or_insert(self.next.min(now));
-    }
-
     /// Adds a line to the trace, and counts it as noticed.
     pub fn note(&mut self, at: MonotonicTime, text: String) {
         let t_s = self.t_s(at).max(0.0);
@@ -432,9 +422,9 @@ impl Recorder {
 
     /// Number of errors that links and gateways have counted.
     fn count(&self) -> u64 {
-        let of_arm = |(arm, end): (usize, &VirtualEnd)| {
-            let seen = self.monitors.as_ref().map(|monitors| monitors[arm].snapshot());
-            let bus = end.look(|far| far.gateway.as_ref().map(Gateway::status));
+        let of_arm = |(end, monitor): (&Option<VirtualEnd>, &Option<ArmMonitor>)| {
+            let seen = monitor.as_ref().map(ArmMonitor::snapshot);
+            let bus = end.as_ref().and_then(|end| end.look(|far| far.gateway.as_ref().map(Gateway::status)));
             let of_bus = bus.map_or(0, |status| {
                 let bus = status.bus;
                 status.host_lost + status.host_stale + bus.lost + bus.late + bus.mismatched
@@ -446,7 +436,7 @@ impl Recorder {
             });
             of_bus + of_link
         };
-        self.ends.iter().enumerate().map(of_arm).sum()
+        self.ends.iter().zip(&self.monitors).map(of_arm).sum()
     }
 
     /// Records everything up to now.
@@ -477,7 +467,8 @@ impl Recorder {
 
     /// Time since which this arm is latched, wherever it latched first; none if it is not.
     fn latched_at(&self, arm: usize, now: MonotonicTime) -> Option<MonotonicTime> {
-        let gateway = self.ends[arm].look(|far| far.gateway.as_ref().map(|gateway| gateway.status().state));
+        let state = |end: &VirtualEnd| end.look(|far| far.gateway.as_ref().map(|gateway| gateway.status().state));
+        let gateway = self.ends[arm].as_ref().and_then(state);
         let by_gateway = matches!(gateway, Some(GatewayState::Fault | GatewayState::EmergencyStop));
         let by_driver = self.latched_in_driver(arm).map(|latched| latched.at);
         let by_fault = self.stopped_by_fault(arm, now);
@@ -485,7 +476,7 @@ impl Recorder {
     }
 
     fn latched_in_driver(&self, arm: usize) -> Option<Latched> {
-        self.monitors.as_ref().and_then(|monitors| monitors[arm].snapshot().latched)
+        self.monitors[arm].as_ref().and_then(|monitor| monitor.snapshot().latched)
     }
 
     fn look_for_latches(&mut self, now: MonotonicTime) {
@@ -537,7 +528,9 @@ impl Recorder {
                 may_go: may_go[index],
                 command_age_s: self.command_age_s(index, at),
                 // From the largest speed of a joint, 1.2 rad/s at 2 rad/s^2 (3.77 at 5), to standstill, and the delay of the arm.
-                ramps: self.held_at[index].is_some_and(|held| at.seconds_since(held) < 0.8),
+                // An arm without a line stops as soon as it may not move.
+                ramps: self.held_at[index].is_some_and(|held| at.seconds_since(held) < 0.8)
+                    || (!may_go[index] && self.ends[index].is_none()),
                 stops_by_itself: self.stops_by_itself(index, at),
                 commands_disturbed: self.are_commands_disturbed(index, at),
                 ..self.truth_of(index, at)

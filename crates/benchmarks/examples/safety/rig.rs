@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use anyhow::{Result, anyhow};
+use anyhow::Result;
 use nalgebra::{Matrix6, Vector3, Vector6};
 use pb3dp_cell::cell::{FreeTarget, SimulatedCell};
 use pb3dp_cell::channels::Plan;
@@ -26,7 +26,7 @@ use pb3dp_setup::setup::{Carrier, Setup};
 use pb3dp_sim::camera_faults::CameraFaultKind;
 use pb3dp_sim::trajectory::Trajectory;
 use pb3dp_wiring::{VirtualWorld, Wired, wire_cell};
-use system_tests::safety::truth::{LogLine, Truth};
+use system_tests::safety::truth::{ARM_NAMES, LogLine, Truth};
 
 use crate::cameras;
 use crate::control::{Faulty, Happening};
@@ -62,6 +62,8 @@ pub struct Ran {
     pub states: Vec<Option<&'static str>>,
     /// Start of the control loop after that of the camera, seconds; none if a fault may have delayed it.
     pub lead_s: Option<f64>,
+    /// A new host began after the first one had died.
+    pub has_new_host: bool,
     /// Commands, conditions and latches, for a trace.
     pub notes: Vec<LogLine>,
 }
@@ -118,8 +120,8 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
         Ok(motion)
     })?;
     let Wired { parts, monitors, world } = wired;
-    let ends = two(world.arms.iter().map(|arm| arm.end.clone()))?;
-    let of_arms = (two(monitors.into_iter().map(|(_, monitor)| monitor))?, ends);
+    let ends = by_arm(world.arms.iter().map(|arm| (arm.name, arm.end.clone())));
+    let of_arms = (by_arm(monitors), ends);
     let (clock, cell) = (Arc::clone(&parts.clock), parts.cell.clone());
     let recorder: Shared = Arc::new(Mutex::new(Recorder::new(scenario.clone(), cell.clone(), of_arms)));
     let log = ProgramLog::new(Arc::clone(&clock));
@@ -132,8 +134,7 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
     if let Some(restart) = scenario.restart.filter(|_| first.faulty.happening.has_died) {
         // The arms of the dead host stay until the next one has connected: they work off what happens at the far ends.
         if let Some((setup, Wired { parts, monitors, .. })) = restart.next_host(&stage)? {
-            let monitors = two(monitors.into_iter().map(|(_, monitor)| monitor))?;
-            lock(&stage.recorder).connected(monitors, parts.cell.clone());
+            lock(&stage.recorder).connected(by_arm(monitors), parts.cell.clone());
             stage.log.set_closed(false);
             let happening = std::mem::take(&mut first.faulty.happening);
             drop(first);
@@ -147,8 +148,15 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
     Ok(afterwards(&stage, (lead_s, log), ended))
 }
 
-fn two<T>(of: impl Iterator<Item = T>) -> Result<[T; 2]> {
-    of.collect::<Vec<_>>().try_into().map_err(|_| anyhow!("not two emulated arms"))
+/// What belongs to each arm, by its name; an arm that is simulated in the process has no line.
+fn by_arm<T>(named: impl IntoIterator<Item = (&'static str, T)>) -> [Option<T>; 2] {
+    let mut arms = [None, None];
+    for (name, of_arm) in named {
+        if let Some(arm) = ARM_NAMES.iter().position(|of| *of == name) {
+            arms[arm] = Some(of_arm);
+        }
+    }
+    arms
 }
 
 /// A host: the program, from its start to its end or its death.
@@ -203,7 +211,7 @@ impl<'a> Host<'a> {
             clock: Arc::clone(clock),
             recorder: Arc::clone(recorder),
             log: log.clone(),
-            ends: world.arms.iter().map(|arm| arm.end.clone()).collect(),
+            ends: by_arm(world.arms.iter().map(|arm| (arm.name, arm.end.clone()))),
             interrupt: Arc::clone(&interrupt),
             begin: now,
             wired: now,
@@ -250,7 +258,8 @@ fn afterwards(stage: &Stage<'_>, (lead_s, log): (Option<f64>, Vec<LogLine>), end
     let became = effects::all(scenario, &times, &recording);
     let states = effects::states(&scenario.faults, &times, &recording.truth);
     let notes = std::mem::take(&mut recording.notes);
-    Ran { truth: std::mem::take(&mut recording.truth), ended, became, states, lead_s, notes }
+    let has_new_host = absent_s.is_some_and(|(_, until_s)| until_s.is_finite());
+    Ran { truth: std::mem::take(&mut recording.truth), ended, became, states, lead_s, has_new_host, notes }
 }
 
 /// The perception thread with its faults.

@@ -3,6 +3,7 @@
 use pb3dp_setup::setup::Carrier;
 use pb3dp_sim::noise::{hash, unit};
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig, StepExperimentConfig};
+use system_tests::safety::truth::TARGET_ARM;
 
 use crate::cameras;
 use crate::faults::{Fault, Kind};
@@ -57,6 +58,8 @@ const CELL_DICE: u64 = 0xce11_0000_0000_0000;
 const KEYED: f64 = 0.3;
 /// Share of these runs in which somebody changes, repeats or removes a record.
 const TAMPERED: f64 = 0.4;
+/// Share of the runs in which an arm with six axes carries the cameras.
+const SIX_AXES: f64 = 0.2;
 /// Share of the runs with a stall of the recorder.
 const RECORDER_STALLS: f64 = 0.1;
 /// Longest stall of the recorder, seconds: less than the control steps that wait for it, 10 s.
@@ -120,8 +123,8 @@ pub enum Draw {
     /// That with stalls; in half of the runs from other joint angles, in half with friction, loads and a hand-eye error, and in a
     /// tenth with a fault while the arms are being enabled.
     Starts,
-    /// That with other starts; in three of ten runs the lines have a key, in a tenth the recorder stalls, and most hosts that die are
-    /// started anew.
+    /// That with other starts; in three of ten runs the lines have a key, in a fifth an arm with six axes carries the cameras, in a tenth the
+    /// recorder stalls, and most hosts that die are started anew.
     Cells,
 }
 
@@ -253,8 +256,22 @@ impl Scenario {
         self.sort_faults();
         self.let_die_once();
         let restart = Restart::draw(dice);
+        if dice.unit() < SIX_AXES {
+            self.carry_with_six_axes();
+        }
         let dies = self.faults.iter().any(|fault| matches!(fault.kind, Kind::HostDies));
         self.restart = (dies && dice.unit() < RESTARTS).then_some(restart);
+    }
+
+    /// An arm with six axes carries the cameras. It is simulated in the process: faults of arms and lines are those of the other arm, and it
+    /// ends with the process.
+    fn carry_with_six_axes(&mut self) {
+        self.workcell.settings.has_six_axes = true;
+        self.faults.retain(|fault| !matches!(fault.kind, Kind::HostDies));
+        self.faults.iter_mut().for_each(|fault| fault.kind.set_arm(TARGET_ARM));
+        if self.faults.is_empty() {
+            self.faults.push(Fault::new(Kind::NoPose, FIRST_FAULT_S, 1.0));
+        }
     }
 
     /// Leaves only the first death of the host.
@@ -405,6 +422,7 @@ mod tests {
         assert!((150..250).contains(&runs.iter().filter(|run| run.disturbs_enabling()).count()));
         assert!((500..700).contains(&runs.iter().filter(|run| run.workcell.settings.line == Line::Keyed).count()));
         assert!((100..300).contains(&runs.iter().filter(|run| run.restart.is_some()).count()));
+        assert!((300..500).contains(&runs.iter().filter(|run| run.workcell.settings.has_six_axes).count()));
         assert!((400..600).contains(&runs.iter().filter(|run| run.searches).count()));
         let motions: BTreeSet<&str> = runs.iter().map(|run| run.motion_name).collect();
         assert_eq!(motions.len(), 6);

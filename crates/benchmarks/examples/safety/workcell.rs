@@ -16,7 +16,8 @@ use pb3dp_setup::layers::SetupArgs;
 use pb3dp_setup::setup::{ArmSetup, Leader, Pace, Setup, read_layers};
 use pb3dp_sim::joint_dynamics::JointMechanics;
 use system_tests::repository;
-use system_tests::safety::rules::Rules;
+use system_tests::safety::rules::{ArmRules, Rules};
+use system_tests::safety::truth::HAND_ARM;
 
 use crate::scenario::Dice;
 
@@ -47,6 +48,24 @@ pub struct Settings {
     pub speed_percent: u32,
     /// Lines to both gateways.
     pub line: Line,
+    /// Whether an arm with six axes carries the cameras. It is simulated in the process, without a line.
+    pub has_six_axes: bool,
+}
+
+impl Settings {
+    /// Its properties, for tables.
+    pub fn properties(&self) -> [&'static str; 4] {
+        let Self { wire_format, dialect, line, has_six_axes, .. } = self;
+        [
+            if *wire_format == "A" { "wire format A" } else { "wire format B" },
+            if *dialect == "transparent" { "dialect transparent" } else { "dialect gateway-v1" },
+            match line {
+                Line::Serial => "lines without a key",
+                Line::Keyed => "lines with a key",
+            },
+            if *has_six_axes { "six axes carry the cameras, without a line" } else { "seven axes carry the cameras" },
+        ]
+    }
 }
 
 /// Where both arms start: the target arm with other joint angles, the hand in front of the target as before.
@@ -169,7 +188,13 @@ pub struct Workcell {
 impl Default for Workcell {
     /// The workcell of `configs/hil.toml`, exactly known.
     fn default() -> Self {
-        let settings = Settings { wire_format: "B", dialect: "gateway-v1", speed_percent: 60, line: Line::Serial };
+        let settings = Settings {
+            wire_format: "B",
+            dialect: "gateway-v1",
+            speed_percent: 60,
+            line: Line::Serial,
+            has_six_axes: false,
+        };
         Self { settings, lag: [1.0; 2], model_delay: 1.0, start: None, differences: None }
     }
 }
@@ -184,6 +209,7 @@ impl Workcell {
             dialect: dice.pick(&["gateway-v1", "transparent"]),
             speed_percent: dice.pick(&[60, 60, 60, 25, 10]),
             line: Line::Serial,
+            has_six_axes: false,
         };
         let is_known = dice.unit() < 0.5;
         let mut factor = || FACTOR.powf(dice.within(-1.0, 1.0));
@@ -195,6 +221,9 @@ impl Workcell {
     /// The limits that hold in this workcell.
     pub fn rules(&self) -> Rules {
         let mut rules = Rules::of_the_rig();
+        if self.settings.has_six_axes {
+            rules.arms[HAND_ARM] = ArmRules::with_six_axes();
+        }
         let speed = f64::from(self.settings.speed_percent) / 100.0 / SPEED_SCALE;
         let friction = self.differences.as_ref().map_or([0.0; 2], |differences| differences.friction_rad_per_s);
         for ((arm, lag), friction) in rules.arms.iter_mut().zip(self.lag).zip(friction) {
@@ -254,13 +283,14 @@ impl Setups {
 }
 
 fn read(settings: Settings, rendered: bool) -> Result<Setup> {
-    let Settings { wire_format, dialect, speed_percent, line } = settings;
+    let Settings { wire_format, dialect, speed_percent, line, has_six_axes } = settings;
     let of_arm = |arm: &str| {
         let gateway = format!("arms.{arm}.gateway");
         [format!("{gateway}.wire_format=\"{wire_format}\""), format!("{gateway}.dialect=\"{dialect}\"")]
     };
     let speed = format!("arms.speed_scale={}", f64::from(speed_percent) / 100.0);
-    let set = [of_arm("vs"), of_arm("tc")].concat().into_iter().chain([speed]).collect();
+    let six_axes = has_six_axes.then(|| "arms.carries_cameras=\"ur5e\"".to_owned());
+    let set = [of_arm("vs"), of_arm("tc")].concat().into_iter().chain([speed]).chain(six_axes).collect();
     let args = SetupArgs { configs: vec![repository().join("configs/hil.toml")], set, ..SetupArgs::default() };
     let mut setup = read_layers(&args).with_context(|| format!("configs/hil.toml with {settings:?}"))?;
     setup.pace = Pace::Fast;

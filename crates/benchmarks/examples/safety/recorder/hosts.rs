@@ -1,4 +1,4 @@
-//! The record when a host dies, and when a new one begins.
+//! The record when a host ends or dies, and when a new one begins.
 
 use std::time::Duration;
 
@@ -14,6 +14,20 @@ use crate::rig::SEARCH_MAX_S;
 use crate::scenario::Scenario;
 
 impl Recorder {
+    /// Enabling, which began at this time, has failed: the record begins with it, and nobody may move an arm.
+    pub fn not_enabled(&mut self, since: MonotonicTime, why: &anyhow::Error, now: MonotonicTime) {
+        if self.begin.is_none() {
+            self.begin_at(since);
+        }
+        self.failed(why, now);
+        self.noticed_enabling = true;
+    }
+
+    /// The control loop has ended: both arms are stopped since the last control step.
+    pub fn ended(&mut self, now: MonotonicTime) {
+        self.ends_at.get_or_insert(self.next.min(now));
+    }
+
     /// The process of the host dies. Nobody stops the arms before the gateways miss it.
     pub fn dies(&mut self, now: MonotonicTime) {
         const MISSED: Duration = Duration::from_millis(100);
@@ -25,7 +39,7 @@ impl Recorder {
     /// gateways and controllers stay, and no arm has a host that could move it.
     pub fn forget_host(&mut self, now: MonotonicTime) {
         self.catch_up(now);
-        (self.monitors, self.stopped_at) = (None, None);
+        (self.monitors, self.stopped_at) = ([None, None], None);
         self.resets_before += 1;
     }
 
@@ -38,8 +52,8 @@ impl Recorder {
     }
 
     /// A new host has connected both arms. Nothing may move before its control loop begins.
-    pub fn connected(&mut self, monitors: [ArmMonitor; 2], cell: SimulatedCell) {
-        (self.monitors, self.cell) = (Some(monitors), cell);
+    pub fn connected(&mut self, monitors: [Option<ArmMonitor>; 2], cell: SimulatedCell) {
+        (self.monitors, self.cell) = (monitors, cell);
         self.counted = self.count();
     }
 
