@@ -10,6 +10,7 @@
 //! | rest-after-latch | after a latched fault or emergency stop of either arm both are stationary, until it is cleared |
 //! | rest-without-pose | without a fresh, confident pose the hand's arm is stationary |
 //! | rest-while-inhibited | while a condition of the supervisor inhibits motion, and until it has been gone for some time, the hand's arm is stationary |
+//! | late-images | by images that are older than their stamps the hand moves only for a short time |
 //! | search | a hand that searches for its target stays within the search range and speed |
 //! | rest-without-word | an arm is stationary unless the operator's last command permits its motion |
 //! | latch-cleared | only the operator's reset clears a latch |
@@ -52,6 +53,8 @@ pub enum Invariant {
     RestWithoutPose,
     /// Standstill of the hand while a condition inhibits motion; rad/s, or radians of creep.
     RestWhileInhibited,
+    /// Motion by images that are older than their stamps; seconds.
+    LateImages,
     /// The search for a lost target; metres, or m/s.
     Search,
     /// Standstill without the operator's command; rad/s, or radians of creep.
@@ -74,7 +77,7 @@ pub enum Invariant {
 
 impl Invariant {
     /// All invariants.
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 18] = [
         Self::Record,
         Self::Position,
         Self::Speed,
@@ -83,6 +86,7 @@ impl Invariant {
         Self::RestAfterLatch,
         Self::RestWithoutPose,
         Self::RestWhileInhibited,
+        Self::LateImages,
         Self::Search,
         Self::RestWithoutWord,
         Self::LatchCleared,
@@ -105,6 +109,7 @@ impl Invariant {
             Self::RestAfterLatch => "rest-after-latch",
             Self::RestWithoutPose => "rest-without-pose",
             Self::RestWhileInhibited => "rest-while-inhibited",
+            Self::LateImages => "late-images",
             Self::Search => "search",
             Self::RestWithoutWord => "rest-without-word",
             Self::LatchCleared => "latch-cleared",
@@ -163,6 +168,7 @@ pub fn check(rules: &Rules, truth: &Truth) -> Vec<Violation> {
     if found.0.is_empty() {
         motion::check(rules, &truth.steps, &mut found);
         rest::check(rules, &truth.steps, &mut found);
+        rest::late_images(rules, &truth.steps, &mut found);
         search::check(rules, &truth.steps, &mut found);
         room::check(rules, &truth.steps, &mut found);
         status_line(truth, &mut found);

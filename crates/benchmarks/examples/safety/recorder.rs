@@ -543,6 +543,7 @@ impl Recorder {
             pose_age_s: self.exposed_at().map_or(f64::INFINITY, |exposed| at.seconds_since(exposed)),
             may_search: self.permission.may_search(true_s) && !is_over,
             is_inhibited: self.permission.is_hand_inhibited(true_s),
+            content_late_s: self.content_late_s(at),
             resets: self.resets_before + self.permission.resets(),
             state: self.state.name(),
             says_why: self.says_why,

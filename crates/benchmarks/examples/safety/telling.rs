@@ -169,6 +169,7 @@ mod tests {
                 pose_age_s: 0.0,
                 may_search: false,
                 is_inhibited: false,
+                content_late_s: 0.0,
                 resets: 0,
                 state: "fault",
                 says_why: true,

@@ -10,10 +10,24 @@ use pb3dp_servo::supervisor::{Condition, State};
 use system_tests::safety::who_may_move::WhoMayMove;
 
 use super::Recorder;
+use crate::faults::Kind;
 use crate::rig::SEARCH_MAX_S;
 use crate::scenario::Scenario;
 
 impl Recorder {
+    /// By how much the content of the pairs is older than their stamps, seconds.
+    pub(super) fn content_late_s(&self, at: MonotonicTime) -> f64 {
+        /// Period of the pairs, seconds.
+        const PERIOD_S: f64 = 1.0 / 30.0;
+        let times = self.began_at.iter().zip(&self.ended_at);
+        let late = self.scenario.faults.iter().zip(times).filter_map(|(fault, (began, ended))| {
+            let is_on = began.is_some_and(|began| began <= at) && ended.is_none_or(|ended| ended > at);
+            let Kind::OldContent(pairs) = fault.kind else { return None };
+            is_on.then_some(pairs as f64 * PERIOD_S)
+        });
+        late.fold(0.0, f64::max)
+    }
+
     /// Enabling, which began at this time, has failed: the record begins with it, and nobody may move an arm.
     pub fn not_enabled(&mut self, since: MonotonicTime, why: &anyhow::Error, now: MonotonicTime) {
         if self.begin.is_none() {
