@@ -132,7 +132,7 @@ pub fn setup(motion: MotionConfig) -> Result<Setup> {
 /// # Errors
 /// If it cannot be built; a run that ends early is no error.
 pub fn run(setup: &Setup, disturbance: Disturbance, for_s: f64) -> Result<Ran> {
-    let Wired { parts, virtual_ends, .. } = wire_cell(setup, |cell, start| {
+    let Wired { parts, world, .. } = wire_cell(setup, |cell, start| {
         let motion = setup.experiment.motion.begin_at(start)?;
         cell.free_target = Some(FreeTarget::new(Arc::clone(&motion)));
         Ok(motion)
@@ -149,7 +149,7 @@ pub fn run(setup: &Setup, disturbance: Disturbance, for_s: f64) -> Result<Ran> {
         disturbance,
         clock: Arc::clone(&clock),
         cell,
-        ends: virtual_ends.into_iter().map(|(_, end)| end).collect(),
+        ends: world.arms.into_iter().map(|arm| arm.end).collect(),
         begin: clock.now(),
         sampled: clock.now(),
         progress: Progress::Before,

@@ -50,7 +50,7 @@ fn setup() -> Setup {
 
 fn ran(arm: usize, lines: &'static [&'static str], every_s: f64, for_s: f64) -> Ran {
     let setup = setup();
-    let Wired { parts, virtual_ends, .. } = wire_cell(&setup, |cell, start| {
+    let Wired { parts, world, .. } = wire_cell(&setup, |cell, start| {
         let motion = setup.experiment.motion.begin_at(start)?;
         cell.free_target = Some(FreeTarget::new(Arc::clone(&motion)));
         Ok(motion)
@@ -64,7 +64,7 @@ fn ran(arm: usize, lines: &'static [&'static str], every_s: f64, for_s: f64) -> 
     let mut faulty = Faulty {
         inner: moving,
         faults: Faults { arm, lines, every_s },
-        ends: virtual_ends.into_iter().map(|(_, end)| end).collect(),
+        ends: world.arms.into_iter().map(|arm| arm.end).collect(),
         given: 0,
         begin: clock.now(),
         ended_s: 0.0,

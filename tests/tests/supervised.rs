@@ -401,12 +401,12 @@ fn a_swing_whose_replies_get_lost_knows_that_the_arm_held() {
 fn a_joint_that_runs_away_while_both_arms_are_switched_on_stops_both() {
     let mut setup = read_setup(&repository().join("configs/hil.toml")).unwrap();
     setup.pace = Pace::Fast;
-    let Wired { parts, virtual_ends, .. } = wire_watched(&setup).unwrap();
+    let Wired { parts, world, .. } = wire_watched(&setup).unwrap();
     let experiment = parts.experiment.clone();
     let Parts { clock, vs, tc, cell, .. } = parts;
     let mut moving = Moving::new(&setup, (vs, tc), &*experiment, clock.now()).unwrap();
     // Behind closed brakes it moves nothing.
-    virtual_ends[0].1.command_line("runaway 2 1.2rad/s").unwrap();
+    world.arms[0].end.command_line("runaway 2 1.2rad/s").unwrap();
     let failure = loop {
         clock.sleep_until(clock.now() + setup.control_period);
         match moving.enable() {
@@ -421,5 +421,5 @@ fn a_joint_that_runs_away_while_both_arms_are_switched_on_stops_both() {
     let went_rad =
         cell.vs.joints.simulated().unwrap().lock().unwrap().state().position_rad - setup.rig.arms.vs.start_rad;
     assert!((0.02..0.15).contains(&went_rad.amax()), "{went_rad}");
-    assert!(virtual_ends.iter().all(|(_, end)| end.look(|far| far.controller.is_braked())));
+    assert!(world.arms.iter().all(|arm| arm.end.look(|far| far.controller.is_braked())));
 }

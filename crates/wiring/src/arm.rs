@@ -34,6 +34,7 @@ use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig};
 use super::greeting;
 use super::nominal::EMULATION;
 use super::sole_program::sole_program;
+use super::standing::StandingArm;
 
 /// Largest difference between the limits in a controller's EEPROM and those of the robot description, degrees.
 pub const LIMITS_TOLERANCE_DEG: f64 = 0.5;
@@ -59,8 +60,8 @@ pub struct WiredArms {
     pub monitors: Vec<(&'static str, ArmMonitor)>,
     /// The emulated arms at the other ends of the links.
     pub emulated: Vec<MockServer>,
-    /// Far ends of arms that are emulated in simulated time, by the arms' names.
-    pub virtual_ends: Vec<(&'static str, VirtualEnd)>,
+    /// Arms that are emulated in simulated time.
+    pub standing: Vec<StandingArm>,
     /// Arms that no gateway would stop.
     pub on_bus: Vec<ArmOnBus>,
 }
@@ -127,6 +128,16 @@ impl EmulatedArm for EmulatedServer {
 /// # Errors
 /// If a part refuses its parameters, or an arm does not answer.
 pub fn wire_arms(setup: &Setup, clock: &Arc<dyn Clock>, time: Option<&Arc<VirtualTime>>) -> Result<WiredArms> {
+    wire_arms_to(setup, clock, time, &[])
+}
+
+/// As [`wire_arms`], to emulated arms that another program has moved before.
+pub(super) fn wire_arms_to(
+    setup: &Setup,
+    clock: &Arc<dyn Clock>,
+    time: Option<&Arc<VirtualTime>>,
+    standing: &[StandingArm],
+) -> Result<WiredArms> {
     let (vs_name, tc_name) = ("vs-robot", "tc-robot");
     let seats = match time {
         None => trip_line(2).context("the trip line between the arms")?,
@@ -134,7 +145,10 @@ pub fn wire_arms(setup: &Setup, clock: &Arc<dyn Clock>, time: Option<&Arc<Virtua
     };
     let mut seats = seats.into_iter();
     let mut seat = || seats.next().context("a seat on the trip line between the arms");
-    let wanted = |name, arm| Wanted { name, arm, control_period: setup.control_period, clock, time };
+    let wanted = |name, arm| Wanted {
+        standing: standing.iter().find(|arm| arm.name == name),
+        ..Wanted { name, arm, control_period: setup.control_period, clock, time, standing: None }
+    };
     let (vs_wanted, tc_wanted) = (wanted(vs_name, &setup.rig.arms.vs), wanted(tc_name, &setup.rig.arms.tc));
     // Before a port opens.
     [vs_wanted.arm, tc_wanted.arm].into_iter().try_for_each(ArmSetup::check_signals)?;
@@ -154,15 +168,10 @@ pub fn wire_arms(setup: &Setup, clock: &Arc<dyn Clock>, time: Option<&Arc<Virtua
         driven: [limited(vs_wanted, vs_coupled)?, limited(tc_wanted, tc_coupled)?],
         flights: [(vs_name, vs_flight), (tc_name, tc_flight)],
         monitors: monitors.into_iter().filter_map(|(name, monitor)| Some((name, monitor?))).collect(),
-        virtual_ends: [(vs_name, &vs.emulated), (tc_name, &tc.emulated)].into_iter().filter_map(virtual_end).collect(),
+        standing: [(vs_name, &vs.emulated), (tc_name, &tc.emulated)].into_iter().filter_map(StandingArm::of).collect(),
         emulated: [vs.emulated, tc.emulated].into_iter().flatten().filter_map(Emulation::into_server).collect(),
         on_bus,
     })
-}
-
-fn virtual_end((name, emulated): (&'static str, &Option<Emulation>)) -> Option<(&'static str, VirtualEnd)> {
-    let Some(Emulation::Virtual(end)) = emulated else { return None };
-    Some((name, end.clone()))
 }
 
 fn arm_on_bus((name, arm, wired): (&'static str, &ArmSetup, &WiredBackend)) -> Option<ArmOnBus> {
@@ -214,6 +223,8 @@ pub(super) struct Wanted<'a> {
     pub clock: &'a Arc<dyn Clock>,
     /// The simulated time of the clock; none in real time, where links and emulated arms have threads.
     pub time: Option<&'a Arc<VirtualTime>>,
+    /// The arm in simulated time, if another program has moved it before.
+    pub standing: Option<&'a StandingArm>,
 }
 
 fn guarded(wanted: Wanted<'_>, backend: Box<dyn Backend>, trip: Option<TripHandle>) -> Result<(GuardedArm, FlightLog)> {
@@ -249,7 +260,7 @@ pub(super) enum Emulation {
     /// On a thread.
     Server(MockServer),
     /// In simulated time.
-    Virtual(VirtualEnd),
+    Virtual(VirtualEnd, SharedPlant),
 }
 
 impl Emulation {
@@ -257,7 +268,7 @@ impl Emulation {
     pub(super) fn into_server(self) -> Option<MockServer> {
         match self {
             Self::Server(server) => Some(server),
-            Self::Virtual(_) => None,
+            Self::Virtual(..) => None,
         }
     }
 }
@@ -297,8 +308,12 @@ pub(super) fn line(wanted: Wanted<'_>) -> Result<Option<(Line<'_>, Option<ArmAnd
         ArmLink::InProcess => return Ok(None),
         ArmLink::Gateway(link, GatewayWay::Emulated) => {
             if let Some(time) = wanted.time {
-                let (end, plant) = emulate_virtually(link, wanted)?;
-                return Ok(Some((Line::Virtual(link, end.clone(), time), Some((Emulation::Virtual(end), plant)))));
+                let (end, plant) = match wanted.standing {
+                    Some(arm) => (arm.end.clone(), Arc::clone(&arm.plant)),
+                    None => emulate_virtually(link, wanted)?,
+                };
+                let emulation = Emulation::Virtual(end.clone(), Arc::clone(&plant));
+                return Ok(Some((Line::Virtual(link, end, time), Some((emulation, plant)))));
             }
             let (server, plant) = emulate(MockFace::Pty, link, wanted)?;
             let port = Box::new(emulated_port(link, &server));
@@ -320,7 +335,7 @@ pub(super) fn line(wanted: Wanted<'_>) -> Result<Option<(Line<'_>, Option<ArmAnd
 /// An emulated arm and its joints.
 type ArmAndPlant = (Emulation, SharedPlant);
 
-type SharedPlant = Arc<Mutex<JointPlant>>;
+pub(super) type SharedPlant = Arc<Mutex<JointPlant>>;
 
 /// Interface of every backend.
 trait Backend: Arm + ArmPower {}
@@ -345,7 +360,7 @@ pub fn far_side(
     clock: &Arc<dyn Clock>,
 ) -> Result<(MockServer, ArmSite)> {
     let ArmLink::Gateway(link, _) = &arm.link else { bail!("{name}: this emulation needs an arm with a gateway") };
-    let wanted = Wanted { name, arm, control_period: link.cycle, clock, time: None };
+    let wanted = Wanted { name, arm, control_period: link.cycle, clock, time: None, standing: None };
     let (server, plant) = emulate(face, link, wanted)?;
     Ok((server, ArmSite::of(arm, JointSource::plant(plant))))
 }
@@ -373,7 +388,8 @@ fn emulate_virtually(link: &GatewayLinkConfig, wanted: Wanted<'_>) -> Result<(Vi
     let controller = MockController::new(controller, Arc::clone(&plant), arm.emulation_seed, now);
     let controller = controller.with_context(|| format!("{name}: emulation"))?;
     let gateway = Gateway::new(gateway, now).with_context(|| format!("{name}: emulation"))?;
-    Ok((VirtualEnd::new(FarEnd::new(controller, Some(gateway), now), EMULATED_BAUD), plant))
+    let end = VirtualEnd::new(FarEnd::new(controller, Some(gateway), now), EMULATED_BAUD);
+    Ok((if let Some(key) = arm.emulation_key { end.with_key(key, link.arm) } else { end }, plant))
 }
 
 /// The parts of an emulated arm, and its joints.

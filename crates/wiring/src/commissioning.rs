@@ -34,7 +34,8 @@ pub struct SeenArm {
 }
 
 fn wanted<'a>(setup: &'a Setup, choice: ArmChoice, clock: &'a Arc<dyn Clock>) -> Wanted<'a> {
-    Wanted { name: choice.name(), arm: choice.of(setup), control_period: setup.control_period, clock, time: None }
+    let (name, arm, control_period) = (choice.name(), choice.of(setup), setup.control_period);
+    Wanted { name, arm, control_period, clock, time: None, standing: None }
 }
 
 /// Opens the link to an arm; its brakes stay closed.

@@ -13,6 +13,7 @@ pub mod message_codes;
 mod nominal;
 mod simulated;
 mod sole_program;
+pub mod standing;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -21,7 +22,6 @@ use std::time::{Duration, SystemTime};
 use anyhow::{Result, bail};
 use clap::ValueEnum;
 use pb3dp_arm_pa10::arm::{ArmMonitor, VirtualTime};
-use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
 use pb3dp_camera_replay::{Pacing, Repeat, ReplayOptions};
 pub use pb3dp_camera_replay::{RecordedPairs, Recording, RecordingOptions, Topics};
 use pb3dp_camera_settings::StereoConfig;
@@ -35,9 +35,10 @@ use pb3dp_hal_clock::{SystemClock, VirtualClock};
 use pb3dp_sim::pushed::PushedTarget;
 use pb3dp_sim::trajectory::{AtRest, Trajectory};
 
-use self::arm::{EmulatedServer, MonitoredLink, WiredArms, wire_arms};
+use self::arm::{EmulatedServer, MonitoredLink, WiredArms, wire_arms_to};
 use self::camera_controls::{BareCameras, ControlService};
 use self::simulated::wire_sight;
+use self::standing::StandingArm;
 pub use flights::{line_facts, raw_lines, write_flights};
 pub use greeting::{bus_doubts, geometry_doubt, watchdog_refusal};
 pub use key_files::check_key_files;
@@ -73,8 +74,17 @@ pub struct Wired {
     pub parts: Parts,
     /// Link monitors by the arms' names; arms without a link have none.
     pub monitors: Vec<(&'static str, ArmMonitor)>,
-    /// Far ends of arms that are emulated in simulated time, by the arms' names.
-    pub virtual_ends: Vec<(&'static str, VirtualEnd)>,
+    /// What outlives the program in simulated time.
+    pub world: VirtualWorld,
+}
+
+/// What outlives a program in simulated time: the time, and the arms that are emulated in it.
+#[derive(Clone, Default)]
+pub struct VirtualWorld {
+    /// The time; none in real time.
+    pub time: Option<Arc<VirtualTime>>,
+    /// The arms.
+    pub arms: Vec<StandingArm>,
 }
 
 /// Wires the workcell with the experiment of the setup.
@@ -134,7 +144,7 @@ fn wire_experiment(setup: &Setup, needs: &RunNeeds, video: Arc<dyn VideoSystem>)
         check_marked(setup)?;
     }
     let mut pushed = None;
-    let mut wired = wire_cell_with(setup, video, |cell, start| {
+    let mut wired = wire_cell_with(setup, (video, VirtualWorld::default()), |cell, start| {
         let experiment: Arc<dyn Trajectory> = match setup.experiment.carrier {
             Carrier::Person => Arc::new(pushed.insert(PushedTarget::new(start)).clone()),
             Carrier::Arm | Carrier::Nothing => setup.experiment.motion.begin_at(start)?,
@@ -194,16 +204,29 @@ pub fn wire_cell(
     setup: &Setup,
     begin: impl FnOnce(&mut SimulatedCell, Pose<World, Target>) -> Result<Arc<dyn Trajectory>>,
 ) -> Result<Wired> {
-    wire_cell_with(setup, Arc::new(Linux), begin)
+    wire_cell_with(setup, (Arc::new(Linux), VirtualWorld::default()), begin)
+}
+
+/// As [`wire_cell`], for a program that begins in the world that another program has left.
+///
+/// # Errors
+/// As [`wire_cell`]; an arm that is latched.
+pub fn wire_cell_in(
+    setup: &Setup,
+    world: &VirtualWorld,
+    begin: impl FnOnce(&mut SimulatedCell, Pose<World, Target>) -> Result<Arc<dyn Trajectory>>,
+) -> Result<Wired> {
+    wire_cell_with(setup, (Arc::new(Linux), world.clone()), begin)
 }
 
 fn wire_cell_with(
     setup: &Setup,
-    video: Arc<dyn VideoSystem>,
+    (video, world): (Arc<dyn VideoSystem>, VirtualWorld),
     begin: impl FnOnce(&mut SimulatedCell, Pose<World, Target>) -> Result<Arc<dyn Trajectory>>,
 ) -> Result<Wired> {
     calibration::look_at(&setup.rig.calibrations, SystemTime::now())?;
     let time = match setup.pace {
+        Pace::Fast if world.time.is_some() => world.time,
         Pace::Fast => Some(Arc::new(VirtualTime::over(Arc::new(VirtualClock::new())))),
         Pace::RealTime => Some(Arc::new(VirtualTime::over(Arc::new(PacedClock::new())))),
         Pace::Live => None,
@@ -212,8 +235,8 @@ fn wire_cell_with(
         Some(time) => Arc::clone(time) as Arc<dyn Clock>,
         None => Arc::new(SystemClock::new()),
     };
-    let WiredArms { sites: [vs_site, tc_site], driven: [vs, tc], flights, monitors, emulated, virtual_ends, on_bus } =
-        wire_arms(setup, &clock, time.as_ref())?;
+    let WiredArms { sites: [vs_site, tc_site], driven: [vs, tc], flights, monitors, emulated, standing, on_bus } =
+        wire_arms_to(setup, &clock, time.as_ref(), &world.arms)?;
     let mut cell = SimulatedCell::of(setup, [vs_site, tc_site]);
     // Planning uses the setup; the simulation uses the true poses.
     let start = cell.world_from_target_at(clock.now());
@@ -257,7 +280,7 @@ fn wire_cell_with(
         selections: None,
         interrupt: Arc::default(),
     };
-    Ok(Wired { parts, monitors, virtual_ends })
+    Ok(Wired { parts, monitors, world: VirtualWorld { time, arms: standing } })
 }
 
 fn link_of(monitor: &ArmMonitor, period: Duration) -> Box<dyn LinkMonitor> {

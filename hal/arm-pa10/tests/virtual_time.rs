@@ -1,4 +1,5 @@
-//! Arms in virtual time: the contract of the arm traits, arms that stop each other, an unplugged cable, and reproducible bytes.
+//! Arms in virtual time: the contract of the arm traits, arms that stop each other, an unplugged cable, a line with a key, a program that
+//! dies, and reproducible bytes.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -10,12 +11,12 @@ use std::time::Duration;
 use pb3dp_arm_pa10::arm::{Pa10Arm, Pa10ArmConfig, RawBytes, TripSeat, VirtualTime, virtual_trip_line};
 use pb3dp_arm_pa10::driver::{DriverConfig, DriverState, FaultCause, LimitsCheck, Trip};
 use pb3dp_arm_pa10_emulation::far_end::FarEnd;
-use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
+use pb3dp_arm_pa10_emulation::line::virtual_end::{Tampering, Towards, VirtualEnd};
 use pb3dp_arm_pa10_emulation::mock_controller::{MockController, MockControllerConfig};
 use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig};
 use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmId, Dialect, Firmware, GatewayState, Geometry, HostLimits, MotionLimits,
+    ArmId, Dialect, Firmware, GatewayState, Geometry, HostLimits, MotionLimits, SharedKey,
 };
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_test_support::plant_config::plant_config;
@@ -34,13 +35,21 @@ fn time() -> Arc<VirtualTime> {
 }
 
 fn open(arm: u8, time: &Arc<VirtualTime>, seat: TripSeat) -> (Pa10Arm, VirtualEnd) {
+    let end = far_end(arm, time);
+    (connect(arm, &end, time, seat), end)
+}
+
+fn far_end(arm: u8, time: &Arc<VirtualTime>) -> VirtualEnd {
     // E2 soon exceeds half a turn, so that wrapped angles would be detected.
     let home = JointVector::from([0.2, -0.5, 0.3, 1.1, std::f64::consts::PI - 0.02, 0.9, 0.1]);
     let now = time.now();
     let plant = Arc::new(Mutex::new(JointPlant::new(plant_config(), home, now).unwrap()));
     let controller = MockController::new(MockControllerConfig::new(FORMAT), plant, 7, now).unwrap();
     let gateway = GatewayConfig::new(ArmId(arm), FORMAT, Firmware::new("test 1").unwrap(), MotionLimits::WIDEST);
-    let end = VirtualEnd::new(FarEnd::new(controller, Some(Gateway::new(gateway, now).unwrap()), now), BAUD);
+    VirtualEnd::new(FarEnd::new(controller, Some(Gateway::new(gateway, now).unwrap()), now), BAUD)
+}
+
+fn connect(arm: u8, end: &VirtualEnd, time: &Arc<VirtualTime>, seat: TripSeat) -> Pa10Arm {
     let driver = DriverConfig { limits: LimitsCheck::Read, ..DriverConfig::with_cycle(CYCLE) };
     let geometry = Geometry::SecondGeneration;
     let dialect = Dialect::GatewayV1;
@@ -54,7 +63,7 @@ fn open(arm: u8, time: &Arc<VirtualTime>, seat: TripSeat) -> (Pa10Arm, VirtualEn
         signals: StatusSignals::ORCA,
     };
     let config = Pa10ArmConfig::new(&format!("arm-{arm}"), driver, link);
-    (Pa10Arm::open_virtual(config, Box::new(end.clone()), time, seat).unwrap(), end)
+    Pa10Arm::open_virtual(config, Box::new(end.clone()), time, seat).unwrap()
 }
 
 fn seat() -> TripSeat {
@@ -115,11 +124,20 @@ struct Cell {
 
 /// Two arms of one cell in motion.
 fn moving() -> Cell {
+    moving_at(|_, end| end)
+}
+
+/// The same with lines that have a key.
+fn moving_with_key() -> Cell {
+    moving_at(|arm, end| end.with_key(SharedKey::new(&[5; 32]).unwrap(), ArmId(arm)))
+}
+
+fn moving_at(line: impl Fn(u8, VirtualEnd) -> VirtualEnd) -> Cell {
     let time = time();
     let mut seats = virtual_trip_line(2).into_iter();
-    let (one, one_end) = open(1, &time, seats.next().unwrap());
-    let (other, other_end) = open(2, &time, seats.next().unwrap());
-    let mut cell = Cell { time, arms: [one, other], ends: [one_end, other_end] };
+    let ends = [1, 2].map(|arm| line(arm, far_end(arm, &time)));
+    let arms = [1, 2].map(|arm| connect(arm, &ends[usize::from(arm) - 1], &time, seats.next().unwrap()));
+    let mut cell = Cell { time, arms, ends };
     cell.arms.iter_mut().for_each(|arm| arm.enable().unwrap());
     cell.move_for(300);
     assert!(cell.ends.iter().all(|end| speed(end) > 0.5));
@@ -188,6 +206,47 @@ fn a_cable_that_was_pulled_stops_the_arm_and_comes_back_by_a_reset() {
     cell.arms.iter_mut().for_each(|arm| arm.enable().unwrap());
     cell.move_for(300);
     assert!(cell.ends.iter().all(|end| speed(end) > 0.5));
+}
+
+#[test]
+fn a_record_that_somebody_changes_repeats_or_removes_stops_both_arms() {
+    for towards in [Towards::Host, Towards::Gateway] {
+        for how in [Tampering::Changed, Tampering::Repeated, Tampering::Removed] {
+            let mut cell = moving_with_key();
+            cell.ends[0].tamper(towards, how);
+            cell.move_for(60);
+            let trip = cell.trip(0);
+            assert!(matches!(trip, Trip::Fault(FaultCause::Unplugged)), "{towards:?} {how:?}: {trip:?}");
+            assert_eq!(cell.trip(1), Trip::Fault(FaultCause::OtherArm { arm: 1 }));
+            pass(&cell.time, 500);
+            assert!(cell.ends.iter().all(|end| speed(end) == 0.0));
+            cell.arms.iter_mut().for_each(|arm| arm.reset().unwrap());
+            cell.arms.iter_mut().for_each(|arm| arm.enable().unwrap());
+            cell.move_for(300);
+            assert!(cell.ends.iter().all(|end| speed(end) > 0.5), "{towards:?} {how:?}: no new connection");
+        }
+    }
+}
+
+#[test]
+fn a_new_program_finds_the_arms_of_a_dead_one_latched_and_the_dead_one_never_comes_back() {
+    for (is_closed, mut cell) in [(false, moving()), (true, moving_with_key()), (false, moving_with_key())] {
+        cell.ends.iter().for_each(|end| end.lose_program(is_closed));
+        cell.move_for(600);
+        assert!(cell.ends.iter().all(|end| speed(end) == 0.0));
+        let refused = whole(&cell.arms[0].reset().unwrap_err());
+        assert!(refused.contains("cannot be opened"), "the dead program reset its arm: {refused}");
+        let mut next = [1, 2].map(|arm| connect(arm, &cell.ends[usize::from(arm) - 1], &cell.time, seat()));
+        for arm in &mut next {
+            assert_eq!(arm.state(), ArmState::Fault);
+            arm.enable().unwrap_err();
+            arm.reset().unwrap();
+            arm.enable().unwrap();
+        }
+        assert!(cell.ends.iter().all(|end| speed(end) == 0.0));
+        drop(cell.arms);
+        assert!(next.iter().all(|arm| arm.state() == ArmState::Enabled), "the dead program stopped it");
+    }
 }
 
 #[test]

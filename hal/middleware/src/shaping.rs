@@ -242,7 +242,9 @@ impl JointStep {
             true => (speed - upwards * self.velocity) / self.dt_s,
             false => upwards * self.acceleration,
         };
-        let meanwhile = room.reaction_s * room.peaks[side][i].max(speed).max(0.0);
+        // An acceleration ends within the limit of jerk: until then the joint still gains speed, and each of these speeds may last.
+        let gained = acceleration.max(0.0).powi(2) / (2.0 * self.drive.jerk);
+        let meanwhile = room.reaction_s * room.peaks[side][i].max(speed + gained).max(0.0);
         meanwhile + self.drive.way_to_rest(speed, acceleration) <= room.to_ends[side][i].max(0.0)
     }
 }

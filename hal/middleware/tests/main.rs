@@ -5,6 +5,7 @@ mod common;
 mod coupling;
 mod emulated_controller;
 mod guard;
+mod last_command;
 mod limiter;
 mod real_time;
 mod recorder;

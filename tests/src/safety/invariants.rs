@@ -10,6 +10,7 @@
 //! | rest-after-latch | after a latched fault or emergency stop of either arm both are stationary, until it is cleared |
 //! | rest-without-pose | without a fresh, confident pose the hand's arm is stationary |
 //! | rest-while-inhibited | while a condition of the supervisor inhibits motion, and until it has been gone for some time, the hand's arm is stationary |
+//! | late-images | by images that are older than their stamps the hand moves only for a short time |
 //! | search | a hand that searches for its target stays within the search range and speed |
 //! | rest-without-word | an arm is stationary unless the operator's last command permits its motion |
 //! | latch-cleared | only the operator's reset clears a latch |
@@ -17,6 +18,7 @@
 //! | arms-apart | no part of an arm comes close to the other arm |
 //! | target-apart | the hand comes no closer to the target by its own motion |
 //! | log | a fault with an effect is reported |
+//! | recorder-stall | a recorder that stands still changes no motion |
 //! | status-line | the status line says why an arm may not move |
 //!
 //! An arm must be stationary from the moment at which it could have stopped:
@@ -51,6 +53,8 @@ pub enum Invariant {
     RestWithoutPose,
     /// Standstill of the hand while a condition inhibits motion; rad/s, or radians of creep.
     RestWhileInhibited,
+    /// Motion by images that are older than their stamps; seconds.
+    LateImages,
     /// The search for a lost target; metres, or m/s.
     Search,
     /// Standstill without the operator's command; rad/s, or radians of creep.
@@ -65,13 +69,15 @@ pub enum Invariant {
     TargetApart,
     /// A fault without a log line; seconds.
     Log,
+    /// Another motion than without the stall of the recorder; radians.
+    RecorderStall,
     /// A status line without the reason of a hold.
     StatusLine,
 }
 
 impl Invariant {
     /// All invariants.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 18] = [
         Self::Record,
         Self::Position,
         Self::Speed,
@@ -80,6 +86,7 @@ impl Invariant {
         Self::RestAfterLatch,
         Self::RestWithoutPose,
         Self::RestWhileInhibited,
+        Self::LateImages,
         Self::Search,
         Self::RestWithoutWord,
         Self::LatchCleared,
@@ -87,6 +94,7 @@ impl Invariant {
         Self::ArmsApart,
         Self::TargetApart,
         Self::Log,
+        Self::RecorderStall,
         Self::StatusLine,
     ];
 
@@ -101,6 +109,7 @@ impl Invariant {
             Self::RestAfterLatch => "rest-after-latch",
             Self::RestWithoutPose => "rest-without-pose",
             Self::RestWhileInhibited => "rest-while-inhibited",
+            Self::LateImages => "late-images",
             Self::Search => "search",
             Self::RestWithoutWord => "rest-without-word",
             Self::LatchCleared => "latch-cleared",
@@ -108,6 +117,7 @@ impl Invariant {
             Self::ArmsApart => "arms-apart",
             Self::TargetApart => "target-apart",
             Self::Log => "log",
+            Self::RecorderStall => "recorder-stall",
             Self::StatusLine => "status-line",
         }
     }
@@ -158,6 +168,7 @@ pub fn check(rules: &Rules, truth: &Truth) -> Vec<Violation> {
     if found.0.is_empty() {
         motion::check(rules, &truth.steps, &mut found);
         rest::check(rules, &truth.steps, &mut found);
+        rest::late_images(rules, &truth.steps, &mut found);
         search::check(rules, &truth.steps, &mut found);
         room::check(rules, &truth.steps, &mut found);
         status_line(truth, &mut found);
@@ -165,6 +176,33 @@ pub fn check(rules: &Rules, truth: &Truth) -> Vec<Violation> {
     }
     found.0.sort_by_key(|violation| (violation.invariant, violation.arm, violation.joint));
     found.0
+}
+
+/// Compares a run in which the recorder stood still with the same run in which it did not: every joint moves exactly as before, because
+/// nothing may wait for the recorder.
+pub fn check_recorder_stall(stalled: &Truth, undisturbed: &Truth) -> Option<Violation> {
+    let (mut first, mut second) = (stalled.steps.iter(), undisturbed.steps.iter());
+    let mut found = Found::default();
+    loop {
+        let (step, other) = match (first.next(), second.next()) {
+            (None, None) => return None,
+            (Some(step), Some(other)) => (step, other),
+            (Some(step), None) | (None, Some(step)) => {
+                let place = Place { invariant: Invariant::RecorderStall, arm: None, joint: None, t_s: step.t_s };
+                found.push(place, (stalled.steps.len() as f64, undisturbed.steps.len() as f64), "steps of the record");
+                return found.0.pop();
+            }
+        };
+        for (arm, joint) in (0..2).flat_map(|arm| (0..7).map(move |joint| (arm, joint))) {
+            let [value, limit] = [step, other].map(|step| step.arms[arm].position_rad[joint]);
+            if value.to_bits() != limit.to_bits() {
+                let (arm, joint) = (Some(arm), Some(joint));
+                let place = Place { invariant: Invariant::RecorderStall, arm, joint, t_s: step.t_s };
+                found.push(place, (value, limit), "rad, and without the stall");
+                return found.0.pop();
+            }
+        }
+    }
 }
 
 /// Where a violation occurred.

@@ -9,4 +9,5 @@ pub mod pa10;
 pub mod rules;
 pub mod shape;
 pub mod truth;
+pub mod ur5e;
 pub mod who_may_move;

@@ -2,6 +2,7 @@
 
 use super::pa10::{Lengths, Links, links};
 use super::truth::{Joints, Placement};
+use super::ur5e;
 
 /// All points within `radius_m` of the line segment between two points, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -77,11 +78,39 @@ fn line_distance_m(first: &[[f64; 3]; 2], second: &[[f64; 3]; 2]) -> f64 {
     dot(&apart, &apart).sqrt()
 }
 
+/// The links of an arm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Build {
+    /// A PA-10 with these lengths.
+    Pa10(Lengths),
+    /// An arm with six axes.
+    Ur5e,
+}
+
+impl Build {
+    /// Bodies of base, upper arm, forearm and wrist as line segments, and `base_from_flange`.
+    fn links(&self, q_rad: &Joints) -> ([[[f64; 3]; 2]; 4], Placement) {
+        match self {
+            Self::Pa10(lengths) => {
+                let Links { shoulder_m, elbow_m, wrist_m, flange } = links(lengths, q_rad);
+                let points = [[0.0; 3], shoulder_m, elbow_m, wrist_m, flange.translation_m];
+                (std::array::from_fn(|i| [points[i], points[i + 1]]), flange)
+            }
+            Self::Ur5e => ur5e::links(q_rad),
+        }
+    }
+
+    /// Pose of the flange in `base`.
+    pub fn flange(&self, q_rad: &Joints) -> Placement {
+        self.links(q_rad).1
+    }
+}
+
 /// Shape of an arm.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ArmBody {
-    /// Lengths of its links.
-    pub lengths_m: Lengths,
+    /// Its links.
+    pub build: Build,
     /// `world_from_base`.
     pub base: Placement,
     /// Radii of base, upper arm, forearm and wrist, metres.
@@ -93,20 +122,22 @@ pub struct ArmBody {
 impl ArmBody {
     /// All bodies of the arm in `world`, base first, mounted bodies last; written to `rods`, which is cleared first.
     pub fn place(&self, q_rad: &Joints, rods: &mut Vec<Rod>) {
-        let Links { shoulder_m, elbow_m, wrist_m, flange } = links(&self.lengths_m, q_rad);
-        let points =
-            [[0.0; 3], shoulder_m, elbow_m, wrist_m, flange.translation_m].map(|point| self.base.point(&point));
+        let (bodies, flange) = self.build.links(q_rad);
         rods.clear();
-        rods.extend((0..4).map(|i| Rod { ends_m: [points[i], points[i + 1]], radius_m: self.radii_m[i] }));
+        let of_links = bodies.into_iter().zip(self.radii_m);
+        rods.extend(of_links.map(|(ends_m, radius_m)| Rod { ends_m, radius_m }.placed(&self.base)));
         let world_from_flange = self.base.then(&flange);
         rods.extend(self.mounted.iter().map(|rod| rod.placed(&world_from_flange)));
     }
 
     /// No point of the arm is farther than this from any of its axes, metres.
     pub fn reach_m(&self) -> f64 {
-        let Lengths { elbow, wrist, flange, .. } = self.lengths_m;
+        let links_m = match self.build {
+            Build::Pa10(Lengths { elbow, wrist, flange, .. }) => elbow + wrist + flange,
+            Build::Ur5e => ur5e::REACH_M,
+        };
         let beyond = self.mounted.iter().flat_map(|rod| rod.ends_m.map(|end| dot(&end, &end).sqrt() + rod.radius_m));
-        elbow + wrist + flange + beyond.fold(0.0, f64::max)
+        links_m + beyond.fold(0.0, f64::max)
     }
 }
 

@@ -117,6 +117,8 @@ pub struct Step {
     pub may_search: bool,
     /// Whether a condition inhibits motion of the hand, or has not been gone for long enough.
     pub is_inhibited: bool,
+    /// By how much the content of the delivered pairs is older than their stamps, seconds.
+    pub content_late_s: f64,
     /// Number of resets by the operator that may have cleared a latch.
     pub resets: u32,
     /// Name of the supervisor's state.

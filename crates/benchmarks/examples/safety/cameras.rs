@@ -68,11 +68,13 @@ pub fn is_of_each_pair(kind: &CameraFaultKind) -> bool {
     )
 }
 
-/// Configures the camera of a run.
-pub fn plan(faults: &[Fault], seed: u64) -> CameraFaults {
-    let since_s = |t_s: f64| Duration::from_secs_f64(LEAD_S + t_s);
+/// Configures a camera that starts at this time of the run, seconds: the first one [`LEAD_S`] before it.
+pub fn plan(faults: &[Fault], seed: u64, starts_s: f64) -> CameraFaults {
+    let since_s = |t_s: f64| Duration::from_secs_f64((t_s - starts_s).max(0.0));
     let list = faults.iter().filter_map(|fault| match fault.kind {
-        Kind::Camera(kind) => Some(CameraFault { kind, from: since_s(fault.from_s), until: since_s(fault.until_s()) }),
+        Kind::Camera(kind) if fault.until_s() > starts_s => {
+            Some(CameraFault { kind, from: since_s(fault.from_s), until: since_s(fault.until_s()) })
+        }
         _ => None,
     });
     CameraFaults { list: list.collect(), seed: seed as u32 }

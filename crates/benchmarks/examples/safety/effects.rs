@@ -84,7 +84,7 @@ fn met(fault: &Fault, (from_s, until_s): (f64, f64), scenario: &Scenario, truth:
         _ if fault.is_of_enabling() => Some(true),
         Kind::Overrun(_) | Kind::ClockJump(_) => Some(is_on(None)),
         Kind::EmergencyStopOfBoth | Kind::Unplugged(_) | Kind::Arm { .. } => Some(is_on(fault.kind.arm())),
-        Kind::GatewayRestart(_) => Some(is_on(fault.kind.arm())),
+        Kind::GatewayRestart(_) | Kind::Tampered(..) => Some(is_on(fault.kind.arm())),
         Kind::HostDies => Some(true),
         Kind::Silence => Some(scenario.has_person),
         _ => None,

@@ -1,5 +1,6 @@
 //! The faults of a run: estimates, their timing, the control loop, its clock, links, gateways and arms.
 
+use pb3dp_arm_pa10_emulation::line::virtual_end::{Tampering, Towards};
 use pb3dp_arm_pa10_protocol::codec::{CommAlarm, ServoAlarm};
 use pb3dp_servo::supervisor::OperatorCommand;
 use pb3dp_sim::camera_faults::CameraFaultKind;
@@ -82,6 +83,10 @@ pub enum Kind {
     GatewayRestart(usize),
     /// The process of the host dies.
     HostDies,
+    /// Somebody changes, repeats or removes a record on the line of this arm, which has a key.
+    Tampered(usize, Towards, Tampering),
+    /// The part that writes the record of a run stands still.
+    RecorderStalls,
 }
 
 type Lines = fn(&mut Dice) -> (String, Option<String>);
@@ -129,7 +134,7 @@ const OF_ARMS: [(&str, Lines); 21] = [
 ];
 
 /// Names in tables of the kinds that do not belong to one arm.
-const OF_THE_CELL: [&str; 24] = [
+const OF_THE_CELL: [&str; 26] = [
     "estimates lost",
     "no pose",
     "low-confidence pose",
@@ -154,6 +159,8 @@ const OF_THE_CELL: [&str; 24] = [
     "operator commands in any order",
     "gateway restarts",
     "host process dies",
+    "line: record changed, repeated or removed",
+    "recorder stalls",
 ];
 
 /// Number of kinds of the first draw, which are not those of one arm.
@@ -178,6 +185,12 @@ impl Kind {
             6..8 => Self::GatewayRestart(dice.below(2)),
             _ => Self::HostDies,
         }
+    }
+
+    /// Draws what somebody on a line with a key does to a record.
+    pub fn draw_tampering(dice: &mut Dice) -> Self {
+        let how = dice.pick(&[Tampering::Changed, Tampering::Repeated, Tampering::Removed]);
+        Self::Tampered(dice.below(2), dice.pick(&[Towards::Host, Towards::Gateway]), how)
     }
 
     /// Draws a fault for the time in which the arms are being enabled: one of an arm, a line or a gateway.
@@ -251,6 +264,8 @@ impl Kind {
             Self::Chatter(_) => 21,
             Self::GatewayRestart(_) => 22,
             Self::HostDies => 23,
+            Self::Tampered(..) => 24,
+            Self::RecorderStalls => 25,
             Self::Arm { name, .. } => return name,
             Self::Camera(kind) => return cameras::name(kind),
         }]
@@ -260,7 +275,7 @@ impl Kind {
     pub fn words(&self) -> &'static [&'static str] {
         match self {
             Self::EmergencyStopOfBoth => &["emergency stop"],
-            Self::Unplugged(_) => &["the link is gone"],
+            Self::Unplugged(_) | Self::Tampered(..) => &["the link is gone"],
             Self::Arm { name: "arm: emergency stop" | "arm: limit switch", .. } => &["emergency stop", "switch"],
             // The gateway reports the alarms of the switches as such.
             Self::Arm { name: "arm: servo alarm" | "arm: controller alarm", line, .. }
@@ -283,7 +298,7 @@ impl Kind {
             Self::EmergencyStopOfBoth => Some((0.0, TOLD_S)),
             Self::GatewayRestart(_) | Self::HostDies => Some((0.0, MISSED_S)),
             Self::Overrun(by_s) if *by_s >= MISSED_S => Some((0.0, MISSED_S)),
-            Self::Unplugged(_) => Some((0.0, MISSED_S)),
+            Self::Unplugged(_) | Self::Tampered(..) => Some((0.0, MISSED_S)),
             Self::Arm { name: "bus: silent" | "line: silent" | "line: gateway deaf", .. } => Some((MISSED_S, MISSED_S)),
             Self::Arm { name: "arm: emergency stop" | "arm: limit switch", .. } => Some((0.0, TOLD_S)),
             Self::Arm { name: "arm: servo alarm" | "arm: controller alarm", .. } => Some((0.0, TOLD_S)),
@@ -300,7 +315,7 @@ impl Kind {
         /// Until an arm that has come to rest is 0.05 rad from its commanded position for 0.1 s, seconds.
         const UNTIL_THE_GUARD_S: f64 = 0.3;
         match self {
-            Self::Overrun(_) | Self::Unplugged(_) | Self::HostDies => None,
+            Self::Overrun(_) | Self::Unplugged(_) | Self::HostDies | Self::Tampered(..) => None,
             // The controller's own watchdog waits 6 ms. Nobody knows the alarms of format A: there the guard stops the arm, later.
             Self::Arm { name: "bus: deaf", .. } => Some(UNTIL_THE_GUARD_S),
             Self::Arm { name: "arm: encoder jumps" | "arm: torque", .. } => None,
@@ -311,8 +326,18 @@ impl Kind {
     /// The arm concerned; `None` if both.
     pub fn arm(&self) -> Option<usize> {
         match self {
-            Self::Unplugged(arm) | Self::GatewayRestart(arm) | Self::Arm { arm, .. } => Some(*arm),
+            Self::Unplugged(arm) | Self::GatewayRestart(arm) | Self::Tampered(arm, ..) | Self::Arm { arm, .. } => {
+                Some(*arm)
+            }
             _ => None,
+        }
+    }
+
+    /// Makes a fault of one arm one of this arm.
+    pub fn set_arm(&mut self, to: usize) {
+        if let Self::Unplugged(arm) | Self::GatewayRestart(arm) | Self::Tampered(arm, ..) | Self::Arm { arm, .. } = self
+        {
+            *arm = to;
         }
     }
 
@@ -342,7 +367,7 @@ impl Kind {
     pub fn disturbs_commands_to(&self, to: usize) -> bool {
         match self {
             Self::Overrun(_) | Self::ClockJump(_) | Self::HostDies => true,
-            Self::Unplugged(arm) | Self::GatewayRestart(arm) => *arm == to,
+            Self::Unplugged(arm) | Self::GatewayRestart(arm) | Self::Tampered(arm, ..) => *arm == to,
             Self::Arm { arm, name, .. } => {
                 // The guard discards a sample that jumps, and the arm holds.
                 let is_lost = name.starts_with("bus:") || name.starts_with("line:") || *name == "arm: encoder jumps";
@@ -370,7 +395,7 @@ impl Kind {
     pub fn may_stop(&self) -> bool {
         match self {
             Self::Arm { .. } | Self::Unplugged(_) | Self::EmergencyStopOfBoth => true,
-            Self::GatewayRestart(_) | Self::HostDies | Self::Chatter(_) => true,
+            Self::GatewayRestart(_) | Self::HostDies | Self::Tampered(..) | Self::Chatter(_) => true,
             Self::Overrun(_) | Self::ClockJump(_) | Self::Silence => true,
             Self::OperatorCommand(word, _) => *word == OperatorCommand::Stop,
             _ => false,
@@ -394,7 +419,7 @@ impl Kind {
 
     /// Whether the fault ends with its time; an alarm stays.
     pub fn ends(&self) -> bool {
-        !matches!(self, Self::Arm { end: None, .. } | Self::GatewayRestart(_) | Self::HostDies)
+        !matches!(self, Self::Arm { end: None, .. } | Self::GatewayRestart(_) | Self::HostDies | Self::Tampered(..))
     }
 
     /// The arm and the joint (from 0) that does not obey commands while the fault lasts.

@@ -53,6 +53,8 @@ pub struct Figures {
     pub states: BTreeMap<&'static str, BTreeMap<&'static str, [u64; 2]>>,
     /// By kind of motion.
     pub motions: BTreeMap<&'static str, u64>,
+    /// By property of the workcell, and whether a new host began.
+    pub cells: BTreeMap<&'static str, u64>,
     /// Reasons why control loops ended.
     pub ends: BTreeMap<String, u64>,
     /// By limit and arm.
@@ -76,6 +78,12 @@ impl Figures {
         self.cpu_millis += cpu_millis;
         self.virtual_s += ran.truth.steps.last().map_or(0.0, |step| step.t_s);
         *self.motions.entry(scenario.motion_name).or_default() += 1;
+        for property in scenario.workcell.settings.properties() {
+            *self.cells.entry(property).or_default() += 1;
+        }
+        if ran.has_new_host {
+            *self.cells.entry("a new host, after the first one died").or_default() += 1;
+        }
         self.searches.0 += u64::from(scenario.searches);
         self.searches.1 += searched_s(&ran.truth, rules);
         for violation in violations {

@@ -21,7 +21,7 @@ fn scenario(line: &str) -> Result<Scenario> {
     let (draw, seed) = (words.next().unwrap_or(""), words.next().context("no seed")?);
     let seed = seed.parse().context("a seed is a whole number")?;
     ensure!(words.next().is_some(), "say what this seed has found");
-    let draw = Draw::named(draw).context("the draw is `first`, `wide`, `stalls` or `starts`")?;
+    let draw = Draw::named(draw).context("the draw is `first`, `wide`, `stalls`, `starts` or `cells`")?;
     Ok(Scenario::of(draw, seed))
 }
 

@@ -2,6 +2,7 @@
 #![allow(clippy::print_stdout, reason = "prints its figures")]
 
 mod cameras;
+mod control;
 mod digest;
 mod effects;
 mod faults;
@@ -12,6 +13,7 @@ mod program_log;
 #[cfg(feature = "disabled-guards")]
 mod proofs;
 mod recorder;
+mod restart;
 mod rig;
 mod scenario;
 mod speaker;
@@ -31,7 +33,7 @@ use figures::Figures;
 use pb3dp_hal_platform::cpu_time::timed;
 use rig::{Ran, run};
 use scenario::{Draw, RUN_S, Scenario};
-use system_tests::safety::invariants::{Invariant, Violation, check};
+use system_tests::safety::invariants::{Invariant, Violation, check, check_recorder_stall};
 use system_tests::safety::shape::room_m;
 use system_tests::safety::truth::ARM_NAMES;
 use workcell::Setups;
@@ -67,7 +69,7 @@ impl Args {
     fn read(mut words: impl Iterator<Item = String>) -> Result<Self> {
         let mut args = Self {
             seed: 0,
-            draw: Draw::Starts,
+            draw: Draw::PRESENT,
             is_drawn: false,
             runs: RUNS,
             rendered: 0,
@@ -83,7 +85,9 @@ impl Args {
             let mut value = || words.next().with_context(|| format!("{word}: no value given"));
             match word.as_str() {
                 "--seed" => seed = Some(value()?.parse().context("--seed: give a whole number")?),
-                "--draw" => args.draw = Draw::named(&value()?).context("--draw: first, wide, stalls or starts")?,
+                "--draw" => {
+                    args.draw = Draw::named(&value()?).context("--draw: first, wide, stalls, starts or cells")?
+                }
                 "--runs" => (args.runs, is_whole) = (value()?.parse().context("--runs: give a whole number")?, false),
                 "--rendered" => rendered = Some(value()?.parse().context("--rendered: give a whole number")?),
                 "--quick" => (args.runs, is_whole, is_quick) = (QUICK_RUNS, false, true),
@@ -144,8 +148,12 @@ fn judge(setups: &Setups, scenario: Scenario, rendered: bool) -> Result<Judged> 
     let (setup, rules) = (setups.get(scenario.workcell.settings, rendered)?, scenario.workcell.rules());
     let ((ran, violations), cpu_millis) = timed(|| {
         let ran = run(&setup, &scenario);
-        let violations = ran.as_ref().map_or_else(|_| Vec::new(), |ran| check(&rules, &ran.truth));
-        (ran, violations)
+        let undisturbed = scenario.without_recorder_stalls().map(|scenario| run(&setup, &scenario)).transpose();
+        let mut violations = ran.as_ref().map_or_else(|_| Vec::new(), |ran| check(&rules, &ran.truth));
+        if let (Ok(ran), Ok(Some(undisturbed))) = (&ran, &undisturbed) {
+            violations.extend(check_recorder_stall(&ran.truth, &undisturbed.truth));
+        }
+        (ran.and_then(|ran| undisturbed.map(|_| ran)), violations)
     });
     let ran = ran.with_context(|| format!("seed {seed}"))?;
     let digest = digest(&ran.truth);
@@ -161,7 +169,7 @@ fn judge(setups: &Setups, scenario: Scenario, rendered: bool) -> Result<Judged> 
 /// The command that repeats one seed, with or without images.
 pub fn replay((seed, draw): (u64, Draw), rendered: bool) -> String {
     let runs = if rendered { "--runs 0 --rendered 1" } else { "--runs 1" };
-    let draw = if draw == Draw::Starts { String::new() } else { format!(" --draw {}", draw.name()) };
+    let draw = if draw == Draw::PRESENT { String::new() } else { format!(" --draw {}", draw.name()) };
     format!("cargo xtask bench safety --seed {seed}{draw} {runs} --trace")
 }
 

@@ -203,6 +203,10 @@ fn write(page: &mut String, figures: &Figures, rendered: &Figures, (seed, origin
         writeln!(page, "| {name} | {drawn} | {begun} | {without_effect} | {share:.0} % |")?;
     }
     write_states(page, figures)?;
+    writeln!(page, "\n## Workcells\n\n| property | runs |\n|---|---|")?;
+    for (property, count) in &figures.cells {
+        writeln!(page, "| {property} | {count} |")?;
+    }
     writeln!(page, "\n## Targets\n\n| motion | runs |\n|---|---|")?;
     for (name, count) in &figures.motions {
         writeln!(page, "| {name} | {count} |")?;

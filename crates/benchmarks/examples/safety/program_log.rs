@@ -1,5 +1,6 @@
 //! What the program itself writes, line by line, with simulated times: its log, and what it reports to the operator.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use pb3dp_geometry::MonotonicTime;
@@ -15,17 +16,27 @@ use tracing::{Event, Level, Metadata, Subscriber};
 pub struct ProgramLog {
     clock: Arc<dyn Clock>,
     lines: Arc<Mutex<Vec<(MonotonicTime, String)>>>,
+    /// The process that writes it has died.
+    is_closed: Arc<AtomicBool>,
 }
 
 impl ProgramLog {
     /// An empty log.
     pub fn new(clock: Arc<dyn Clock>) -> Self {
-        Self { clock, lines: Arc::default() }
+        Self { clock, lines: Arc::default(), is_closed: Arc::default() }
     }
 
     /// Adds a line that the program prints now.
     pub fn push(&self, line: String) {
+        if self.is_closed.load(Ordering::SeqCst) {
+            return;
+        }
         self.lines.lock().unwrap_or_else(PoisonError::into_inner).push((self.clock.now(), line));
+    }
+
+    /// The process that writes the log has died, or a new one writes it.
+    pub fn set_closed(&self, is_closed: bool) {
+        self.is_closed.store(is_closed, Ordering::SeqCst);
     }
 
     /// The lines, with times since `begin`; earlier ones have the time 0.

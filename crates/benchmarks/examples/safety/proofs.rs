@@ -86,6 +86,7 @@ impl Proof {
             has_person,
             searches: false,
             workcell,
+            restart: None,
         }
     }
 

@@ -1,10 +1,13 @@
 //! Records the true motion: joints from the simulated plants, latches from gateways and drivers, and log lines.
 
+mod hosts;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use pb3dp_arm_pa10::arm::ArmMonitor;
+use pb3dp_arm_pa10::driver::Latched;
 use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
 use pb3dp_arm_pa10_gateway::gateway::Gateway;
 use pb3dp_arm_pa10_protocol::gateway_protocol::GatewayState;
@@ -17,8 +20,8 @@ use pb3dp_sim::joint_dynamics::{AxisMode, JointPlant};
 use system_tests::safety::truth::{ARM_NAMES, ArmTruth, HAND_ARM, Joints, LogLine, Placement, Step, TARGET_ARM, Truth};
 use system_tests::safety::who_may_move::{Moment, Pair, WhoMayMove, Word};
 
+use self::hosts::permission_of;
 use crate::faults::{Fault, Kind};
-use crate::rig::SEARCH_MAX_S;
 use crate::scenario::Scenario;
 use crate::telling::Happened;
 
@@ -47,7 +50,10 @@ pub struct Recorder {
     /// Time constants of the drives of both arms, seconds.
     lag_s: [f64; 2],
     cell: SimulatedCell,
-    arms: [(ArmMonitor, VirtualEnd); 2],
+    /// Far ends of the lines of both arms; an arm that is simulated in the process has none.
+    ends: [Option<VirtualEnd>; 2],
+    /// What the present host knows of these arms; nothing after it has died.
+    monitors: [Option<ArmMonitor>; 2],
     begin: Option<MonotonicTime>,
     next: MonotonicTime,
     /// Last control step.
@@ -82,6 +88,10 @@ pub struct Recorder {
     has_failed: bool,
     /// The last reset of the operator that cleared a latch.
     reset_at: MonotonicTime,
+    /// Resets before the present host began.
+    resets_before: u32,
+    /// From the death of a host to the first control step of the next one, seconds.
+    pub absent_s: Option<(f64, f64)>,
     /// Times of the operator's resets, seconds.
     pub resets_s: Vec<f64>,
     /// Last sign of life of the operator, on the clock of the control loop.
@@ -106,12 +116,17 @@ pub struct Recorder {
 
 impl Recorder {
     /// An empty record.
-    pub fn new(scenario: Scenario, cell: SimulatedCell, arms: [(ArmMonitor, VirtualEnd); 2]) -> Self {
+    pub fn new(
+        scenario: Scenario,
+        cell: SimulatedCell,
+        (monitors, ends): ([Option<ArmMonitor>; 2], [Option<VirtualEnd>; 2]),
+    ) -> Self {
         Self {
             truth: Truth::default(),
             lag_s: scenario.workcell.rules().arms.map(|arm| arm.lag_s),
             cell,
-            arms,
+            ends,
+            monitors,
             begin: None,
             next: MonotonicTime::ZERO,
             stepped_at: MonotonicTime::ZERO,
@@ -126,12 +141,14 @@ impl Recorder {
             could_stop: vec![false; scenario.faults.len()],
             latched_since: [None; 2],
             was_latched: [false; 2],
-            permission: WhoMayMove::new(scenario.has_person, if scenario.searches { SEARCH_MAX_S } else { 0.0 }),
+            permission: permission_of(&scenario),
             step_begins: [MonotonicTime::ZERO; 2],
             disabled_since: [None; 2],
             stopped_at: None,
             has_failed: false,
             reset_at: MonotonicTime::ZERO,
+            resets_before: 0,
+            absent_s: None,
             resets_s: Vec::new(),
             heard_at: None,
             state: State::Idle,
@@ -210,6 +227,11 @@ impl Recorder {
     /// This fault of the scenario has ended.
     pub fn ceased(&mut self, index: usize, now: MonotonicTime) {
         self.ended_at[index] = Some(now);
+    }
+
+    /// True joint angles of both arms, radians.
+    pub fn joints_rad(&self, at: MonotonicTime) -> [Joints; 2] {
+        [HAND_ARM, TARGET_ARM].map(|arm| self.truth_of(arm, at).position_rad)
     }
 
     /// The true state of an arm.
@@ -379,6 +401,11 @@ impl Recorder {
         self.permission.refused();
     }
 
+    /// The program says that the arms hold from now on.
+    pub fn holds(&mut self, now: MonotonicTime) {
+        self.held_at = [Some(now); 2];
+    }
+
     /// A control step has failed: both arms are stopped for good.
     pub fn failed(&mut self, why: &anyhow::Error, now: MonotonicTime) {
         self.note(now, format!("{why:#}"));
@@ -386,26 +413,8 @@ impl Recorder {
         (self.has_failed, self.stopped_at) = (true, Some(now));
     }
 
-    /// Enabling, which began at this time, has failed: the record begins with it, and nobody may move an arm.
-    pub fn not_enabled(&mut self, since: MonotonicTime, why: &anyhow::Error, now: MonotonicTime) {
-        self.begin_at(since);
-        self.failed(why, now);
-        self.noticed_enabling = true;
-    }
-
-    /// The control loop has ended: both arms are stopped since the last control step.
-    pub fn ended(&mut self, now: MonotonicTime) {
-        self.ends_at.get_or_insert(self.next.min(now));
-    }
-
-    /// The process of the host dies. Nobody stops the arms before the gateways miss it.
-    pub fn dies(&mut self, now: MonotonicTime) {
-        const MISSED: Duration = Duration::from_millis(100);
-        self.ends_at = Some(now + MISSED);
-    }
-
     /// Adds a line to the trace, and counts it as noticed.
-    fn note(&mut self, at: MonotonicTime, text: String) {
+    pub fn note(&mut self, at: MonotonicTime, text: String) {
         let t_s = self.t_s(at).max(0.0);
         self.noticed_s.push(t_s);
         self.notes.push(LogLine { t_millis: (t_s * 1e3) as u64, text });
@@ -413,18 +422,21 @@ impl Recorder {
 
     /// Number of errors that links and gateways have counted.
     fn count(&self) -> u64 {
-        let of_arm = |(monitor, end): &(ArmMonitor, VirtualEnd)| {
-            let seen = monitor.snapshot();
-            let (link, line) = (&seen.counters, &seen.line);
-            let bus = end.look(|far| far.gateway.as_ref().map(Gateway::status));
+        let of_arm = |(end, monitor): (&Option<VirtualEnd>, &Option<ArmMonitor>)| {
+            let seen = monitor.as_ref().map(ArmMonitor::snapshot);
+            let bus = end.as_ref().and_then(|end| end.look(|far| far.gateway.as_ref().map(Gateway::status)));
             let of_bus = bus.map_or(0, |status| {
                 let bus = status.bus;
                 status.host_lost + status.host_stale + bus.lost + bus.late + bus.mismatched
             });
-            let of_link = link.lost + link.late + link.damaged + link.mismatched;
-            of_bus + of_link + line.crc_errors + line.header_errors + line.resyncs
+            let of_link = seen.map_or(0, |seen| {
+                let (link, line) = (&seen.counters, &seen.line);
+                let of_line = line.crc_errors + line.header_errors + line.resyncs;
+                link.lost + link.late + link.damaged + link.mismatched + of_line
+            });
+            of_bus + of_link
         };
-        self.arms.iter().map(of_arm).sum()
+        self.ends.iter().zip(&self.monitors).map(of_arm).sum()
     }
 
     /// Records everything up to now.
@@ -455,26 +467,33 @@ impl Recorder {
 
     /// Time since which this arm is latched, wherever it latched first; none if it is not.
     fn latched_at(&self, arm: usize, now: MonotonicTime) -> Option<MonotonicTime> {
-        let (monitor, end) = &self.arms[arm];
-        let gateway = end.look(|far| far.gateway.as_ref().map(|gateway| gateway.status().state));
+        let state = |end: &VirtualEnd| end.look(|far| far.gateway.as_ref().map(|gateway| gateway.status().state));
+        let gateway = self.ends[arm].as_ref().and_then(state);
         let by_gateway = matches!(gateway, Some(GatewayState::Fault | GatewayState::EmergencyStop));
-        let by_driver = monitor.snapshot().latched.map(|latched| latched.at);
+        let by_driver = self.latched_in_driver(arm).map(|latched| latched.at);
         let by_fault = self.stopped_by_fault(arm, now);
         [by_driver, by_gateway.then_some(now), self.stopped_at, by_fault].into_iter().flatten().min()
     }
 
+    fn latched_in_driver(&self, arm: usize) -> Option<Latched> {
+        self.monitors[arm].as_ref().and_then(|monitor| monitor.snapshot().latched)
+    }
+
     fn look_for_latches(&mut self, now: MonotonicTime) {
         for (arm, name) in ARM_NAMES.into_iter().enumerate() {
-            let seen = self.arms[arm].0.snapshot();
+            let latched = self.latched_in_driver(arm);
             let since = self.latched_at(arm, now);
             if self.latched_since[arm].is_none() && since.is_some() {
                 self.permission.latched();
             }
             self.latched_since[arm] = since.map(|since| self.latched_since[arm].unwrap_or(since));
-            if let (Some(latched), false) = (seen.latched, self.was_latched[arm]) {
-                self.note(latched.at, format!("{name}: {}", latched.trip));
-            }
-            self.was_latched[arm] = seen.latched.is_some();
+            self.was_latched[arm] = match latched {
+                Some(latched) if !self.was_latched[arm] => {
+                    self.note(latched.at, format!("{name}: {}", latched.trip));
+                    true
+                }
+                latched => latched.is_some(),
+            };
         }
     }
 
@@ -509,7 +528,9 @@ impl Recorder {
                 may_go: may_go[index],
                 command_age_s: self.command_age_s(index, at),
                 // From the largest speed of a joint, 1.2 rad/s at 2 rad/s^2 (3.77 at 5), to standstill, and the delay of the arm.
-                ramps: self.held_at[index].is_some_and(|held| at.seconds_since(held) < 0.8),
+                // An arm without a line stops as soon as it may not move.
+                ramps: self.held_at[index].is_some_and(|held| at.seconds_since(held) < 0.8)
+                    || (!may_go[index] && self.ends[index].is_none()),
                 stops_by_itself: self.stops_by_itself(index, at),
                 commands_disturbed: self.are_commands_disturbed(index, at),
                 ..self.truth_of(index, at)
@@ -522,7 +543,8 @@ impl Recorder {
             pose_age_s: self.exposed_at().map_or(f64::INFINITY, |exposed| at.seconds_since(exposed)),
             may_search: self.permission.may_search(true_s) && !is_over,
             is_inhibited: self.permission.is_hand_inhibited(true_s),
-            resets: self.permission.resets(),
+            content_late_s: self.content_late_s(at),
+            resets: self.resets_before + self.permission.resets(),
             state: self.state.name(),
             says_why: self.says_why,
         };

@@ -1,21 +1,21 @@
 //! One run of one scenario: the loop of `pb3dp run` with both arms emulated in virtual time, and all faults.
 
 use std::collections::VecDeque;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use anyhow::Result;
 use nalgebra::{Matrix6, Vector3, Vector6};
-use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
-use pb3dp_cell::cell::FreeTarget;
+use pb3dp_cell::cell::{FreeTarget, SimulatedCell};
 use pb3dp_cell::channels::Plan;
-use pb3dp_cell::halves::{Course, Mover, Watcher};
+use pb3dp_cell::halves::{Course, Watcher};
 use pb3dp_cell::journal::Journal;
 use pb3dp_cell::log::RunLog;
 use pb3dp_cell::looking::Looking;
 use pb3dp_cell::moving::{Moved, Moving};
 use pb3dp_cell::operator::Operator;
+use pb3dp_cell::parts::Parts;
 use pb3dp_cell::percept::Percept;
 use pb3dp_cell::strip::Strip;
 use pb3dp_geometry::MonotonicTime;
@@ -24,12 +24,14 @@ use pb3dp_servo::supervisor::Confidence;
 use pb3dp_servo::{SearchConfig, TargetObservation};
 use pb3dp_setup::setup::{Carrier, Setup};
 use pb3dp_sim::camera_faults::CameraFaultKind;
-use pb3dp_wiring::{Wired, wire_cell};
-use system_tests::safety::truth::{LogLine, Truth};
+use pb3dp_sim::trajectory::Trajectory;
+use pb3dp_wiring::{VirtualWorld, Wired, wire_cell};
+use system_tests::safety::truth::{ARM_NAMES, LogLine, Truth};
 
 use crate::cameras;
+use crate::control::{Faulty, Happening};
 use crate::effects::{self, Became};
-use crate::faults::{Fault, Kind};
+use crate::faults::Kind;
 use crate::program_log::ProgramLog;
 use crate::recorder::{Recorder, Shared, lock};
 use crate::scenario::{Dice, Scenario};
@@ -46,7 +48,7 @@ const AFTERWARDS: Duration = Duration::from_millis(1500);
 /// Number of poses that are kept.
 const BUFFERED: usize = 8;
 /// Interval between these observations.
-const LOOK: Duration = Duration::from_millis(10);
+pub const LOOK: Duration = Duration::from_millis(10);
 
 /// Result of one run.
 pub struct Ran {
@@ -60,19 +62,41 @@ pub struct Ran {
     pub states: Vec<Option<&'static str>>,
     /// Start of the control loop after that of the camera, seconds; none if a fault may have delayed it.
     pub lead_s: Option<f64>,
+    /// A new host began after the first one had died.
+    pub has_new_host: bool,
     /// Commands, conditions and latches, for a trace.
     pub notes: Vec<LogLine>,
 }
 
-/// The setup of a scenario.
-fn setup_of(base: &Setup, scenario: &Scenario) -> Result<Setup> {
+/// What all hosts of a run share.
+pub struct Stage<'a> {
+    /// The setups that no scenario has changed.
+    pub base: &'a Setup,
+    /// The scenario.
+    pub scenario: &'a Scenario,
+    /// The clock.
+    pub clock: Arc<dyn Clock>,
+    /// The record of the run.
+    pub recorder: Shared,
+    /// The true cell, as the first host found it.
+    pub cell: SimulatedCell,
+    /// What outlives a host.
+    pub world: VirtualWorld,
+    log: ProgramLog,
+}
+
+/// The setup of a scenario, for a host whose camera starts at this time of the run, seconds.
+///
+/// # Errors
+/// If the arms cannot start there.
+pub fn setup_of(base: &Setup, scenario: &Scenario, starts_s: f64) -> Result<Setup> {
     let mut setup = base.clone();
     setup.reseed(scenario.seed);
     scenario.workcell.apply(&mut setup)?;
     setup.experiment.motion = scenario.motion.clone();
     setup.experiment.carrier = scenario.carrier;
     if let Some(world) = setup.world.as_mut() {
-        world.faults = cameras::plan(&scenario.faults, scenario.seed);
+        world.faults = cameras::plan(&scenario.faults, scenario.seed, starts_s);
     }
     if scenario.searches {
         setup.controller.search = Some(SEARCH);
@@ -86,8 +110,8 @@ fn setup_of(base: &Setup, scenario: &Scenario) -> Result<Setup> {
 /// # Errors
 /// If it cannot be built: no run of this simulation is refused.
 pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
-    let setup = setup_of(base, scenario)?;
-    let Wired { parts, monitors, virtual_ends } = wire_cell(&setup, |cell, start| {
+    let setup = setup_of(base, scenario, -cameras::LEAD_S)?;
+    let wired = wire_cell(&setup, |cell, start| {
         scenario.workcell.change(cell)?;
         let motion = scenario.motion.begin_at(start)?;
         if scenario.carrier == Carrier::Nothing {
@@ -95,73 +119,128 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
         }
         Ok(motion)
     })?;
-    let ends = virtual_ends.into_iter().map(|(_, end)| end).collect::<Vec<_>>();
-    let monitors = monitors.into_iter().map(|(_, monitor)| monitor);
-    let arms: Vec<_> = monitors.zip(ends.clone()).collect();
-    let arms = arms.try_into().map_err(|_| anyhow::anyhow!("not two emulated arms"))?;
-    let recorder: Shared = Arc::new(Mutex::new(Recorder::new(scenario.clone(), parts.cell.clone(), arms)));
-    let clock = Arc::clone(&parts.clock);
-    let now = clock.now();
-    let looking = Looking::new(
-        &setup,
-        (parts.camera, parts.cell.clone(), parts.marking),
-        (Strip::default(), &parts.clock),
-        None,
-    )?;
+    let Wired { parts, monitors, world } = wired;
+    let ends = by_arm(world.arms.iter().map(|arm| (arm.name, arm.end.clone())));
+    let of_arms = (by_arm(monitors), ends);
+    let (clock, cell) = (Arc::clone(&parts.clock), parts.cell.clone());
+    let recorder: Shared = Arc::new(Mutex::new(Recorder::new(scenario.clone(), cell.clone(), of_arms)));
     let log = ProgramLog::new(Arc::clone(&clock));
-    let operator: Box<dyn Operator> = match scenario.has_person {
-        true => Box::new(Speaker::new(scenario, Arc::clone(&clock), (Arc::clone(&recorder), log.clone()))),
-        false => Box::new(Overheard::new(scenario, Arc::clone(&clock), Arc::clone(&recorder))),
-    };
-    let moving = Moving::new(&setup, (parts.vs, parts.tc), &*parts.experiment, now)?.with_operator(operator);
-    let plan = Plan::of(&scenario.motion, &*parts.experiment);
-    let cell = parts.cell;
-    let mut watching = Watching {
-        looking,
-        journal: Journal::new(&setup, (now, scenario.run_s), (RunLog::default(), plan)),
-        begin_cell: Box::new(move |begin| cell.begin_at(begin)),
-        scenario,
-        clock: Arc::clone(&clock),
-        recorder: Arc::clone(&recorder),
-        wired: now,
-        begin: now,
-        dice: Dice::new(!scenario.seed),
-        hit: false,
-        waiting: VecDeque::new(),
-        buffered: VecDeque::new(),
-        standing: None,
-    };
-    let interrupt = AtomicBool::new(false);
-    let mut faulty = Faulty {
-        inner: moving,
-        scenario,
-        clock: Arc::clone(&clock),
-        recorder: Arc::clone(&recorder),
-        ends,
-        begin: now,
-        interrupt: &interrupt,
-        wired: now,
-        begun_at: vec![None; scenario.faults.len()],
-        ended: vec![false; scenario.faults.len()],
-    };
-    let duration = Duration::from_secs_f64(scenario.run_s);
-    let course = Course { setup: &setup, clock: &clock, duration, interrupt: &interrupt };
-    let outcome = tracing::subscriber::with_default(log.clone(), || course.run_in_lockstep(&mut watching, &mut faulty));
-    let lead_s = (!scenario.disturbs_enabling()).then(|| watching.begin.seconds_since(watching.wired));
-    let ended = outcome.err().map(|error| format!("{error:#}"));
-    // The program prints the failure that ends it.
-    ended.iter().for_each(|ended| log.push(ended.clone()));
-    let log = log.take(watching.begin);
-    Ok(afterwards(scenario, (lead_s, log), (&clock, &recorder), ended))
+    let stage = Stage { base, scenario, clock, recorder, cell, world, log };
+    let experiment = Arc::clone(&parts.experiment);
+    let mut first = Host::new(&stage, (&setup, &*experiment), parts, Happening::new(scenario))?;
+    let mut ended = first.run(&stage);
+    let lead_s = (!scenario.disturbs_enabling()).then(|| first.watching.begin.seconds_since(first.watching.wired));
+    let zero = first.watching.zero;
+    if let Some(restart) = scenario.restart.filter(|_| first.faulty.happening.has_died) {
+        // The arms of the dead host stay until the next one has connected: they work off what happens at the far ends.
+        if let Some((setup, Wired { parts, monitors, .. })) = restart.next_host(&stage)? {
+            lock(&stage.recorder).connected(by_arm(monitors), parts.cell.clone());
+            stage.log.set_closed(false);
+            let happening = std::mem::take(&mut first.faulty.happening);
+            drop(first);
+            let experiment = Arc::clone(&parts.experiment);
+            let mut second = Host::new(&stage, (&setup, &*experiment), parts, happening)?;
+            ended = second.run(&stage);
+            return Ok(afterwards(&stage, (lead_s, stage.log.take(zero)), ended));
+        }
+    }
+    let log = stage.log.take(zero);
+    Ok(afterwards(&stage, (lead_s, log), ended))
+}
+
+/// What belongs to each arm, by its name; an arm that is simulated in the process has no line.
+fn by_arm<T>(named: impl IntoIterator<Item = (&'static str, T)>) -> [Option<T>; 2] {
+    let mut arms = [None, None];
+    for (name, of_arm) in named {
+        if let Some(arm) = ARM_NAMES.iter().position(|of| *of == name) {
+            arms[arm] = Some(of_arm);
+        }
+    }
+    arms
+}
+
+/// A host: the program, from its start to its end or its death.
+struct Host<'a> {
+    setup: &'a Setup,
+    interrupt: Arc<AtomicBool>,
+    watching: Watching<'a>,
+    faulty: Faulty<'a>,
+}
+
+impl<'a> Host<'a> {
+    fn new(
+        stage: &Stage<'a>,
+        (setup, experiment): (&'a Setup, &'a dyn Trajectory),
+        parts: Parts,
+        happening: Happening,
+    ) -> Result<Self> {
+        let Stage { scenario, clock, recorder, log, world, .. } = stage;
+        let now = clock.now();
+        let sees = (parts.camera, parts.cell.clone(), parts.marking);
+        let looking = Looking::new(setup, sees, (Strip::default(), &parts.clock), None)?;
+        let operator: Box<dyn Operator> = match scenario.has_person {
+            true => Box::new(Speaker::new(scenario, Arc::clone(clock), (Arc::clone(recorder), log.clone()))),
+            false => Box::new(Overheard::new(scenario, Arc::clone(clock), Arc::clone(recorder))),
+        };
+        let moving = Moving::new(setup, (parts.vs, parts.tc), experiment, now)?.with_operator(operator);
+        let plan = Plan::of(&scenario.motion, experiment);
+        let (cell, interrupt) = (parts.cell, Arc::new(AtomicBool::new(false)));
+        let zero = happening.zero.unwrap_or(now);
+        let watching = Watching {
+            looking,
+            journal: Journal::new(setup, (now, scenario.run_s), (RunLog::default(), plan)),
+            unwritten: VecDeque::new(),
+            begin_cell: Box::new(move |begin| cell.begin_at(begin)),
+            scenario,
+            clock: Arc::clone(clock),
+            recorder: Arc::clone(recorder),
+            wired: now,
+            camera_zero: happening.zero.unwrap_or(now + Duration::from_secs_f64(cameras::LEAD_S)),
+            begin: now,
+            zero,
+            is_first: happening.zero.is_none(),
+            dice: Dice::new(!scenario.seed),
+            hit: false,
+            waiting: VecDeque::new(),
+            buffered: VecDeque::new(),
+            standing: None,
+        };
+        let faulty = Faulty {
+            inner: moving,
+            scenario,
+            clock: Arc::clone(clock),
+            recorder: Arc::clone(recorder),
+            log: log.clone(),
+            ends: by_arm(world.arms.iter().map(|arm| (arm.name, arm.end.clone()))),
+            interrupt: Arc::clone(&interrupt),
+            begin: now,
+            wired: now,
+            happening,
+        };
+        Ok(Self { setup, interrupt, watching, faulty })
+    }
+
+    /// Runs the program; returns why it ended early.
+    fn run(&mut self, stage: &Stage<'_>) -> Option<String> {
+        let Stage { scenario, clock, recorder, log, .. } = stage;
+        let left_s = scenario.run_s - lock(recorder).t_s(clock.now());
+        let duration = Duration::from_secs_f64(left_s.max(0.0));
+        let course = Course { setup: self.setup, clock, duration, interrupt: &self.interrupt };
+        let outcome = tracing::subscriber::with_default(log.clone(), || {
+            let outcome = course.run_in_lockstep(&mut self.watching, &mut self.faulty);
+            self.watching.write_all();
+            outcome
+        });
+        let ended = outcome.err().map(|error| format!("{error:#}"));
+        // The program prints the failure that ends it.
+        ended.iter().for_each(|ended| log.push(ended.clone()));
+        ended
+    }
 }
 
 /// Observes both arms for a while, and collects what was noticed.
-fn afterwards(
-    scenario: &Scenario,
-    (lead_s, log): (Option<f64>, Vec<LogLine>),
-    (clock, recorder): (&Arc<dyn Clock>, &Shared),
-    ended: Option<String>,
-) -> Ran {
+fn afterwards(stage: &Stage<'_>, (lead_s, log): (Option<f64>, Vec<LogLine>), ended: Option<String>) -> Ran {
+    let Stage { scenario, clock, recorder, .. } = stage;
     let mut recording = lock(recorder);
     recording.ended(clock.now());
     recording.catch_up(clock.now());
@@ -173,12 +252,14 @@ fn afterwards(
     recording.noticed_s.extend(log.iter().map(|line| line.t_millis as f64 * 1e-3));
     recording.truth.log = log;
     let (times, resets_s) = (recording.times(), std::mem::take(&mut recording.resets_s));
-    let faults = Faults { faults: &scenario.faults, times: &times, resets_s: &resets_s };
+    let absent_s = recording.absent_s;
+    let faults = Faults { faults: &scenario.faults, times: &times, resets_s: &resets_s, absent_s };
     recording.truth.injected = faults.to_be_told(&recording.truth);
     let became = effects::all(scenario, &times, &recording);
     let states = effects::states(&scenario.faults, &times, &recording.truth);
     let notes = std::mem::take(&mut recording.notes);
-    Ran { truth: std::mem::take(&mut recording.truth), ended, became, states, lead_s, notes }
+    let has_new_host = absent_s.is_some_and(|(_, until_s)| until_s.is_finite());
+    Ran { truth: std::mem::take(&mut recording.truth), ended, became, states, lead_s, has_new_host, notes }
 }
 
 /// The perception thread with its faults.
@@ -186,13 +267,20 @@ struct Watching<'a> {
     looking: Looking<'a>,
     /// The part of the program that writes the log of a run.
     journal: Journal,
+    /// Control steps that wait for it while it stands still.
+    unwritten: VecDeque<Moved>,
     begin_cell: Box<dyn Fn(MonotonicTime)>,
     scenario: &'a Scenario,
     clock: Arc<dyn Clock>,
     recorder: Shared,
     /// When the camera started.
     wired: MonotonicTime,
+    /// The planned time zero of the scenario, to which camera faults refer.
+    camera_zero: MonotonicTime,
     begin: MonotonicTime,
+    /// Time zero of the scenario: the begin of the first host.
+    zero: MonotonicTime,
+    is_first: bool,
     dice: Dice,
     /// Whether the last checked fault changed a percept.
     hit: bool,
@@ -212,18 +300,24 @@ impl Watcher for Watching<'_> {
         self.looking.begin_at(begin);
         self.journal.begin_at(begin);
         self.begin = begin;
-        lock(&self.recorder).begin_at(begin);
+        if self.is_first {
+            self.zero = begin;
+            lock(&self.recorder).begin_at(begin);
+        } else {
+            lock(&self.recorder).begin_again(begin);
+        }
     }
 
     fn moved(&mut self, step: &Moved) {
         self.looking.push_joints(step.vs_joints);
-        self.journal.note(step, None);
+        self.unwritten.push_back(*step);
+        self.write_unless_stalled();
         lock(&self.recorder).moved(step, self.clock.now());
     }
 
     fn look(&mut self) -> Result<Option<Percept>> {
         let seen = self.looking.look()?.map(|seen| seen.percept());
-        let (now, t_s) = (self.clock.now(), self.clock.now().seconds_since(self.begin));
+        let (now, t_s) = (self.clock.now(), self.clock.now().seconds_since(self.zero));
         self.note_cameras(seen.as_ref(), t_s);
         let Some(percept) = seen else { return Ok(None) };
         self.buffered.push_front(percept.observation);
@@ -254,6 +348,23 @@ impl Watcher for Watching<'_> {
 }
 
 impl Watching<'_> {
+    /// Writes the control steps that wait, as a thread of its own does in a real run, unless that thread stands still.
+    fn write_unless_stalled(&mut self) {
+        let t_s = self.clock.now().seconds_since(self.zero);
+        let mut faults = self.scenario.faults.iter().enumerate();
+        let stall = faults.find(|(_, fault)| matches!(fault.kind, Kind::RecorderStalls) && fault.is_on(t_s));
+        match stall {
+            Some((index, _)) => lock(&self.recorder).touched(index),
+            None => self.write_all(),
+        }
+    }
+
+    fn write_all(&mut self) {
+        while let Some(step) = self.unwritten.pop_front() {
+            self.journal.note(&step, None);
+        }
+    }
+
     /// Records the effect of camera faults on the frame pair that is due now.
     fn note_cameras(&self, seen: Option<&Percept>, t_s: f64) {
         let is_spoiled = seen.is_none_or(|percept| percept.estimate.confidence != Confidence::Sure);
@@ -264,7 +375,7 @@ impl Watching<'_> {
                 recorder.touched(index);
             }
             // A frozen camera delivers no new image, whatever frame number it reports.
-            let exposed_s = seen.map(|percept| percept.frame.at.seconds_since(self.wired) - cameras::LEAD_S);
+            let exposed_s = seen.map(|percept| since_s(percept.frame.at, self.camera_zero));
             if let (Some(percept), true, CameraFaultKind::Frozen) =
                 (seen, exposed_s.is_some_and(|exposed_s| fault.is_on(exposed_s)), kind)
             {
@@ -347,129 +458,7 @@ fn displace(percept: &mut Percept, by_m: f64, turned_rad: f64) {
     }
 }
 
-/// The control thread with its faults and those behind it.
-struct Faulty<'a> {
-    inner: Moving<'a>,
-    scenario: &'a Scenario,
-    clock: Arc<dyn Clock>,
-    recorder: Shared,
-    ends: Vec<VirtualEnd>,
-    /// Ends the control loop.
-    interrupt: &'a AtomicBool,
-    begin: MonotonicTime,
-    /// When the cell was wired; the arms are being enabled until `begin`.
-    wired: MonotonicTime,
-    /// When each fault actually began: while the arms are being enabled the control loop waits.
-    begun_at: Vec<Option<MonotonicTime>>,
-    ended: Vec<bool>,
-}
-
-impl Mover for Faulty<'_> {
-    type Step = Moved;
-
-    fn enable(&mut self) -> Result<bool> {
-        let now = self.clock.now();
-        self.begin_and_end_faults(now, now.seconds_since(self.wired) - cameras::LEAD_S)?;
-        let enabled = self.inner.enable();
-        if let Err(why) = &enabled {
-            // The control loop does not begin: the record begins with the enabling.
-            lock(&self.recorder).not_enabled(self.wired, why, self.clock.now());
-        }
-        enabled
-    }
-
-    fn begin_at(&mut self, begin: MonotonicTime) {
-        self.begin = begin;
-        self.inner.begin_at(begin);
-    }
-
-    fn observe(&mut self, percept: Percept, now: MonotonicTime) {
-        lock(&self.recorder).delivered(&percept);
-        self.inner.observe(percept, self.shown(now));
-    }
-
-    fn step(&mut self, now: MonotonicTime) -> Result<Moved> {
-        self.begin_and_end_faults(now, now.seconds_since(self.begin))?;
-        let shown = self.shown(now);
-        lock(&self.recorder).stepping([now, shown], self.clock.now());
-        let stepped = self.inner.step(shown);
-        if let Err(why) = &stepped {
-            lock(&self.recorder).failed(why, self.clock.now());
-        }
-        stepped
-    }
-
-    fn stop(&mut self) -> Result<()> {
-        self.inner.stop()
-    }
-}
-
-impl Faulty<'_> {
-    fn begin_and_end_faults(&mut self, now: MonotonicTime, t_s: f64) -> Result<()> {
-        for index in 0..self.scenario.faults.len() {
-            let fault = &self.scenario.faults[index];
-            if self.begun_at[index].is_none() && t_s >= fault.from_s {
-                self.begun_at[index] = Some(now);
-                lock(&self.recorder).began(index, self.clock.now());
-                self.begin_fault(fault)?;
-            }
-            let is_over = self.begun_at[index].is_some_and(|begun| now.seconds_since(begun) >= fault.for_s);
-            if is_over && !self.ended[index] {
-                self.ended[index] = true;
-                self.end_fault(fault)?;
-                lock(&self.recorder).ceased(index, self.clock.now());
-            }
-        }
-        Ok(())
-    }
-
-    fn on(&self, t_s: f64) -> impl Iterator<Item = &Fault> {
-        self.scenario.faults.iter().filter(move |fault| fault.is_on(t_s))
-    }
-
-    /// The time that the clock of the control loop shows.
-    fn shown(&self, now: MonotonicTime) -> MonotonicTime {
-        let t_s = now.seconds_since(self.begin);
-        let jumps_s = self.on(t_s).map(|fault| if let Kind::ClockJump(by_s) = fault.kind { by_s } else { 0.0 });
-        let by_s: f64 = jumps_s.sum();
-        let by = Duration::from_secs_f64(by_s.abs());
-        if by_s < 0.0 { now - by } else { now + by }
-    }
-
-    fn begin_fault(&self, fault: &Fault) -> Result<()> {
-        match &fault.kind {
-            Kind::Overrun(by_s) => self.clock.sleep_until(self.clock.now() + Duration::from_secs_f64(*by_s)),
-            Kind::EmergencyStopOfBoth => {
-                for end in &self.ends {
-                    end.command_line("e-stop press")?;
-                }
-            }
-            Kind::Unplugged(arm) => self.ends[*arm].unplug(),
-            Kind::GatewayRestart(arm) => self.ends[*arm].restart_gateway(),
-            Kind::HostDies => {
-                for line in self.ends.iter().flat_map(|end| [(end, "line deaf on"), (end, "line silence on")]) {
-                    line.0.command_line(line.1)?;
-                }
-                lock(&self.recorder).dies(self.clock.now());
-                self.interrupt.store(true, Ordering::SeqCst);
-            }
-            Kind::Arm { arm, line, .. } => self.ends[*arm].command_line(line)?,
-            _ => {}
-        }
-        Ok(())
-    }
-
-    fn end_fault(&self, fault: &Fault) -> Result<()> {
-        match &fault.kind {
-            Kind::EmergencyStopOfBoth => {
-                for end in &self.ends {
-                    end.command_line("e-stop release")?;
-                }
-            }
-            Kind::Unplugged(arm) => self.ends[*arm].plug(),
-            Kind::Arm { arm, end: Some(line), .. } => self.ends[*arm].command_line(line)?,
-            _ => {}
-        }
-        Ok(())
-    }
+/// Seconds from one time to another; negative if it is earlier.
+fn since_s(at: MonotonicTime, zero: MonotonicTime) -> f64 {
+    if at >= zero { at.seconds_since(zero) } else { -zero.seconds_since(at) }
 }

@@ -3,11 +3,13 @@
 use pb3dp_setup::setup::Carrier;
 use pb3dp_sim::noise::{hash, unit};
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig, StepExperimentConfig};
+use system_tests::safety::truth::TARGET_ARM;
 
 use crate::cameras;
 use crate::faults::{Fault, Kind};
+use crate::restart::Restart;
 use crate::stalls;
-use crate::workcell::{Differences, Start, Workcell};
+use crate::workcell::{Differences, Line, Start, Workcell};
 
 /// Length of a run, virtual seconds.
 pub const RUN_S: f64 = 20.0;
@@ -49,6 +51,23 @@ const ELSEWHERE: f64 = 0.5;
 const DIFFERS: f64 = 0.5;
 /// Share of the runs with a fault while the arms are being enabled.
 const ENABLING: f64 = 0.1;
+
+/// Draws of the cells.
+const CELL_DICE: u64 = 0xce11_0000_0000_0000;
+/// Share of the runs whose lines have a key.
+const KEYED: f64 = 0.3;
+/// Share of these runs in which somebody changes, repeats or removes a record.
+const TAMPERED: f64 = 0.4;
+/// Share of the runs in which an arm with six axes carries the cameras.
+const SIX_AXES: f64 = 0.2;
+/// Share of the runs with a stall of the recorder.
+const RECORDER_STALLS: f64 = 0.1;
+/// Longest stall of the recorder, seconds: less than the control steps that wait for it, 10 s.
+const RECORDER_STALL_MAX_S: f64 = 3.0;
+/// Share of the runs in which the process of the host dies in addition to those of the wide draw.
+const DIES: f64 = 0.05;
+/// Share of the runs with a death in which a new host is started.
+const RESTARTS: f64 = 0.9;
 
 /// Name of the motion of a run that proves a safeguard.
 pub const PROOF: &str = "proof";
@@ -104,12 +123,20 @@ pub enum Draw {
     /// That with stalls; in half of the runs from other joint angles, in half with friction, loads and a hand-eye error, and in a
     /// tenth with a fault while the arms are being enabled.
     Starts,
+    /// That with other starts; in three of ten runs the lines have a key, in a fifth an arm with six axes carries the cameras, in a tenth the
+    /// recorder stalls, and most hosts that die are started anew.
+    Cells,
 }
 
 impl Draw {
+    /// The present draw.
+    pub const PRESENT: Self = Self::Cells;
+    /// All draws, the oldest one first.
+    const ALL: [Self; 5] = [Self::First, Self::Wide, Self::Stalls, Self::Starts, Self::Cells];
+
     /// The draw with this name.
     pub fn named(name: &str) -> Option<Self> {
-        [Self::First, Self::Wide, Self::Stalls, Self::Starts].into_iter().find(|draw| draw.name() == name)
+        Self::ALL.into_iter().find(|draw| draw.name() == name)
     }
 
     /// Its name.
@@ -119,6 +146,7 @@ impl Draw {
             Self::Wide => "wide",
             Self::Stalls => "stalls",
             Self::Starts => "starts",
+            Self::Cells => "cells",
         }
     }
 }
@@ -146,6 +174,8 @@ pub struct Scenario {
     pub searches: bool,
     /// The workcell.
     pub workcell: Workcell,
+    /// How a host that has died is started anew; none if nobody does.
+    pub restart: Option<Restart>,
 }
 
 impl Scenario {
@@ -161,6 +191,9 @@ impl Scenario {
         }
         if draw >= Draw::Starts {
             scenario.start(&mut Dice::new(seed ^ START_DICE));
+        }
+        if draw >= Draw::Cells {
+            scenario.cell(&mut Dice::new(seed ^ CELL_DICE));
         }
         scenario
     }
@@ -201,6 +234,52 @@ impl Scenario {
         }
     }
 
+    fn cell(&mut self, dice: &mut Dice) {
+        let mut more = Vec::new();
+        let mut add = |kind: Kind, dice: &mut Dice, longest_s: f64| {
+            let from_s = dice.within(FIRST_FAULT_S, RUN_S - LAST_FAULT_S);
+            more.push(Fault::new(kind, from_s, dice.within(0.1, longest_s)));
+        };
+        if dice.unit() < KEYED {
+            self.workcell.settings.line = Line::Keyed;
+            if dice.unit() < TAMPERED {
+                add(Kind::draw_tampering(dice), dice, 0.2);
+            }
+        }
+        if dice.unit() < RECORDER_STALLS {
+            add(Kind::RecorderStalls, dice, RECORDER_STALL_MAX_S);
+        }
+        if dice.unit() < DIES {
+            add(Kind::HostDies, dice, 0.2);
+        }
+        self.faults.extend(more);
+        self.sort_faults();
+        self.let_die_once();
+        let restart = Restart::draw(dice);
+        if dice.unit() < SIX_AXES {
+            self.carry_with_six_axes();
+        }
+        let dies = self.faults.iter().any(|fault| matches!(fault.kind, Kind::HostDies));
+        self.restart = (dies && dice.unit() < RESTARTS).then_some(restart);
+    }
+
+    /// An arm with six axes carries the cameras. It is simulated in the process: faults of arms and lines are those of the other arm, and it
+    /// ends with the process.
+    fn carry_with_six_axes(&mut self) {
+        self.workcell.settings.has_six_axes = true;
+        self.faults.retain(|fault| !matches!(fault.kind, Kind::HostDies));
+        self.faults.iter_mut().for_each(|fault| fault.kind.set_arm(TARGET_ARM));
+        if self.faults.is_empty() {
+            self.faults.push(Fault::new(Kind::NoPose, FIRST_FAULT_S, 1.0));
+        }
+    }
+
+    /// Leaves only the first death of the host.
+    fn let_die_once(&mut self) {
+        let mut has_died = false;
+        self.faults.retain(|fault| !matches!(fault.kind, Kind::HostDies) || !std::mem::replace(&mut has_died, true));
+    }
+
     fn sort_faults(&mut self) {
         self.faults.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
     }
@@ -208,6 +287,15 @@ impl Scenario {
     /// Whether a fault begins while the arms are being enabled.
     pub fn disturbs_enabling(&self) -> bool {
         self.faults.iter().any(Fault::is_of_enabling)
+    }
+
+    /// The same run without stalls of the recorder, if it has any.
+    pub fn without_recorder_stalls(&self) -> Option<Self> {
+        let is_stall = |fault: &Fault| matches!(fault.kind, Kind::RecorderStalls);
+        self.faults.iter().any(is_stall).then(|| {
+            let faults = self.faults.iter().filter(|fault| !is_stall(fault)).cloned().collect();
+            Self { faults, ..self.clone() }
+        })
     }
 
     fn first(seed: u64) -> Self {
@@ -234,8 +322,19 @@ impl Scenario {
         let workcell = Workcell::default();
         let draw = Draw::First;
         let run_s = RUN_S;
-        let mut scenario =
-            Self { seed, draw, motion_name, motion, carrier, faults, run_s, has_person, searches, workcell };
+        let mut scenario = Self {
+            seed,
+            draw,
+            motion_name,
+            motion,
+            carrier,
+            faults,
+            run_s,
+            has_person,
+            searches,
+            workcell,
+            restart: None,
+        };
         scenario.sort_faults();
         scenario
     }
@@ -310,7 +409,7 @@ mod tests {
 
     #[test]
     fn a_seed_is_a_run_and_all_kinds_come() {
-        let newest = |seed| Scenario::of(Draw::Starts, seed);
+        let newest = |seed| Scenario::of(Draw::PRESENT, seed);
         let text = |seed| format!("{:?}", newest(seed));
         assert_eq!(text(7), text(7));
         assert_ne!(text(7), text(8));
@@ -321,6 +420,9 @@ mod tests {
         assert_eq!(kinds.len(), Kind::COUNT + cameras::COUNT + stalls::NAMES.len(), "{kinds:?}");
         assert!((900..1100).contains(&runs.iter().filter(|run| run.workcell.start.is_some()).count()));
         assert!((150..250).contains(&runs.iter().filter(|run| run.disturbs_enabling()).count()));
+        assert!((500..700).contains(&runs.iter().filter(|run| run.workcell.settings.line == Line::Keyed).count()));
+        assert!((100..300).contains(&runs.iter().filter(|run| run.restart.is_some()).count()));
+        assert!((300..500).contains(&runs.iter().filter(|run| run.workcell.settings.has_six_axes).count()));
         assert!((400..600).contains(&runs.iter().filter(|run| run.searches).count()));
         let motions: BTreeSet<&str> = runs.iter().map(|run| run.motion_name).collect();
         assert_eq!(motions.len(), 6);

@@ -35,9 +35,11 @@ pub struct Speaker {
 impl Speaker {
     /// The operator of this scenario.
     pub fn new(scenario: &Scenario, clock: Arc<dyn Clock>, (recorder, log): (Shared, ProgramLog)) -> Self {
+        let from_s = lock(&recorder).t_s(clock.now());
         Self {
             log,
-            said: vec![false; scenario.faults.len()],
+            // A new host gets no command that was given to the one before.
+            said: scenario.faults.iter().map(|fault| fault.from_s < from_s).collect(),
             dice: Dice::new(scenario.seed ^ 0x5eed),
             scenario: scenario.clone(),
             clock,
@@ -138,6 +140,10 @@ impl Operator for Speaker {
         let Some(trouble) = trouble else { return };
         if self.resets {
             lock(&self.recorder).reset_failed();
+        }
+        // A refused command: the driver brakes the arm from this step on.
+        if trouble.contains("the arm holds") {
+            lock(&self.recorder).holds(self.clock.now());
         }
         self.log.push(trouble);
     }

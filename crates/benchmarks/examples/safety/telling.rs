@@ -42,6 +42,8 @@ pub struct Faults<'a> {
     pub times: &'a [Happened],
     /// Times of the operator's resets, seconds.
     pub resets_s: &'a [f64],
+    /// When no host ran, because the first one had died, seconds.
+    pub absent_s: Option<(f64, f64)>,
 }
 
 impl Faults<'_> {
@@ -70,7 +72,8 @@ impl Faults<'_> {
         } else {
             known_s
         };
-        if self.host_dies_by(until_s + WRITTEN_S) {
+        let until_s = self.written_s(known_s, until_s);
+        if self.absent_s.is_some_and(|(from_s, to_s)| from_s <= until_s + WRITTEN_S && to_s >= known_s) {
             return None;
         }
         // A latched fault is reported at once, however long its cause lasts.
@@ -78,12 +81,11 @@ impl Faults<'_> {
         Some(Injected { name, from_s: known_s, until_s, had_effect: true, words })
     }
 
-    /// Whether the process of the host, which writes the log, has died by this time.
-    fn host_dies_by(&self, at_s: f64) -> bool {
-        let mut faults = self.faults.iter().zip(self.times);
-        faults.any(|(fault, times)| {
-            matches!(fault.kind, Kind::HostDies) && times.from_s.is_some_and(|died_s| died_s <= at_s)
-        })
+    /// The log is written as soon as the recorder goes on: this time, or the end of a stall in between.
+    fn written_s(&self, from_s: f64, until_s: f64) -> f64 {
+        let stalls = self.faults.iter().zip(self.times).filter(|(fault, _)| matches!(fault.kind, Kind::RecorderStalls));
+        let late = stalls.filter(|(_, times)| times.overlaps(from_s, until_s + WRITTEN_S));
+        late.filter_map(|(_, times)| times.until_s).fold(until_s, f64::max)
     }
 
     /// The earliest time at which the fault can be detected, from this time on: while a controller has no power, or its
@@ -167,6 +169,7 @@ mod tests {
                 pose_age_s: 0.0,
                 may_search: false,
                 is_inhibited: false,
+                content_late_s: 0.0,
                 resets: 0,
                 state: "fault",
                 says_why: true,
@@ -179,7 +182,7 @@ mod tests {
     const OTHER_CAUSE: &str = "vs-robot: fault: the gateway stopped the arm";
 
     fn told(faults: &[Fault], times: &[Happened], resets_s: &[f64]) -> Vec<(f64, f64)> {
-        let found = Faults { faults, times, resets_s }.to_be_told(&truth(OTHER_CAUSE));
+        let found = Faults { faults, times, resets_s, absent_s: None }.to_be_told(&truth(OTHER_CAUSE));
         found.iter().map(|injected| (injected.from_s, injected.until_s)).collect()
     }
 
@@ -199,9 +202,20 @@ mod tests {
 
     #[test]
     fn a_process_that_has_died_tells_nothing() {
-        let dies = || Fault::new(Kind::HostDies, 0.0, 0.0);
-        assert!(told(&[switch(), dies()], &[from_to(2.0, 3.0), from_to(2.5, 2.5)], &[]).is_empty());
-        assert_eq!(told(&[switch(), dies()], &[from_to(2.0, 3.0), from_to(3.5, 3.5)], &[]), [(2.0, 2.0)]);
+        let told = |absent_s| {
+            let (faults, times) = ([switch()], [from_to(2.0, 3.0)]);
+            let faults = Faults { faults: &faults, times: &times, resets_s: &[], absent_s: Some(absent_s) };
+            faults.to_be_told(&truth(OTHER_CAUSE)).len()
+        };
+        assert_eq!((told((2.5, f64::INFINITY)), told((1.0, 2.5))), (0, 0));
+        assert_eq!((told((3.5, f64::INFINITY)), told((0.5, 1.5))), (1, 1));
+    }
+
+    #[test]
+    fn a_recorder_that_stands_still_writes_later() {
+        let stalls = Fault::new(Kind::RecorderStalls, 0.0, 0.0);
+        let until_s = told(&[switch(), stalls], &[from_to(2.0, 3.0), from_to(2.5, 5.0)], &[])[0].1;
+        assert_eq!(until_s, 5.0);
     }
 
     #[test]
@@ -244,7 +258,7 @@ mod tests {
         assert_eq!(told(&[alarm(), blind], &times, &[5.0]), [(2.0, 2.0)]);
         assert_eq!(told(&[alarm(), clock()], &[times[0], from_to(1.0, 1.8)], &[5.0]), [(2.0, 2.0)]);
         let (faults, silent) = ([alarm(), clock()], truth("fault-found fault"));
-        let found = Faults { faults: &faults, times: &times, resets_s: &[5.0] }.to_be_told(&silent);
+        let found = Faults { faults: &faults, times: &times, resets_s: &[5.0], absent_s: None }.to_be_told(&silent);
         assert_eq!((found[0].from_s, found[0].until_s), (2.0, 2.0));
     }
 }

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use nalgebra::Vector6;
+use pb3dp_arm_pa10_protocol::gateway_protocol::SharedKey;
 use pb3dp_cell::cell::SimulatedCell;
 use pb3dp_hal_middleware::StartPose;
 use pb3dp_kinematics::{Damping, JointVector, reach};
@@ -15,14 +16,26 @@ use pb3dp_setup::layers::SetupArgs;
 use pb3dp_setup::setup::{ArmSetup, Leader, Pace, Setup, read_layers};
 use pb3dp_sim::joint_dynamics::JointMechanics;
 use system_tests::repository;
-use system_tests::safety::rules::Rules;
+use system_tests::safety::rules::{ArmRules, Rules};
+use system_tests::safety::truth::HAND_ARM;
 
 use crate::scenario::Dice;
 
 /// Length of the history; disabling both arms takes less.
 const HISTORY: Duration = Duration::from_secs(5);
+/// Key of the lines that have one.
+const KEY: [u8; 32] = [7; 32];
 /// Share of the drives' speeds in `configs/sim.toml`, to which the rules refer.
 const SPEED_SCALE: f64 = 0.6;
+
+/// Kind of the lines between host and gateways.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Line {
+    /// A serial line.
+    Serial,
+    /// A connection with a key: its frames travel in authentic records.
+    Keyed,
+}
 
 /// The settings of a workcell that a setup states.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -33,6 +46,26 @@ pub struct Settings {
     pub dialect: &'static str,
     /// Share of the drives' speeds, percent.
     pub speed_percent: u32,
+    /// Lines to both gateways.
+    pub line: Line,
+    /// Whether an arm with six axes carries the cameras. It is simulated in the process, without a line.
+    pub has_six_axes: bool,
+}
+
+impl Settings {
+    /// Its properties, for tables.
+    pub fn properties(&self) -> [&'static str; 4] {
+        let Self { wire_format, dialect, line, has_six_axes, .. } = self;
+        [
+            if *wire_format == "A" { "wire format A" } else { "wire format B" },
+            if *dialect == "transparent" { "dialect transparent" } else { "dialect gateway-v1" },
+            match line {
+                Line::Serial => "lines without a key",
+                Line::Keyed => "lines with a key",
+            },
+            if *has_six_axes { "six axes carry the cameras, without a line" } else { "seven axes carry the cameras" },
+        ]
+    }
 }
 
 /// Where both arms start: the target arm with other joint angles, the hand in front of the target as before.
@@ -116,8 +149,12 @@ impl Differences {
         Self { friction_rad_per_s, load, hand_eye }
     }
 
-    fn apply(&self, cell: &mut SimulatedCell) -> Result<()> {
+    fn apply_to_cameras(&self, cell: &mut SimulatedCell) {
         cell.hand_from_cam_left = cell.hand_from_cam_left.perturbed_in_from(&self.hand_eye);
+    }
+
+    fn apply(&self, cell: &mut SimulatedCell) -> Result<()> {
+        self.apply_to_cameras(cell);
         for (arm, site) in [&cell.vs, &cell.tc].into_iter().enumerate() {
             let Some(plant) = site.joints.simulated() else { continue };
             let model = JointMechanics::default();
@@ -151,7 +188,13 @@ pub struct Workcell {
 impl Default for Workcell {
     /// The workcell of `configs/hil.toml`, exactly known.
     fn default() -> Self {
-        let settings = Settings { wire_format: "B", dialect: "gateway-v1", speed_percent: 60 };
+        let settings = Settings {
+            wire_format: "B",
+            dialect: "gateway-v1",
+            speed_percent: 60,
+            line: Line::Serial,
+            has_six_axes: false,
+        };
         Self { settings, lag: [1.0; 2], model_delay: 1.0, start: None, differences: None }
     }
 }
@@ -165,6 +208,8 @@ impl Workcell {
             wire_format: dice.pick(&["B", "A"]),
             dialect: dice.pick(&["gateway-v1", "transparent"]),
             speed_percent: dice.pick(&[60, 60, 60, 25, 10]),
+            line: Line::Serial,
+            has_six_axes: false,
         };
         let is_known = dice.unit() < 0.5;
         let mut factor = || FACTOR.powf(dice.within(-1.0, 1.0));
@@ -176,6 +221,9 @@ impl Workcell {
     /// The limits that hold in this workcell.
     pub fn rules(&self) -> Rules {
         let mut rules = Rules::of_the_rig();
+        if self.settings.has_six_axes {
+            rules.arms[HAND_ARM] = ArmRules::with_six_axes();
+        }
         let speed = f64::from(self.settings.speed_percent) / 100.0 / SPEED_SCALE;
         let friction = self.differences.as_ref().map_or([0.0; 2], |differences| differences.friction_rad_per_s);
         for ((arm, lag), friction) in rules.arms.iter_mut().zip(self.lag).zip(friction) {
@@ -207,6 +255,11 @@ impl Workcell {
     pub fn change(&self, cell: &mut SimulatedCell) -> Result<()> {
         self.differences.iter().try_for_each(|differences| differences.apply(cell))
     }
+
+    /// Changes what a new host finds of the true cell: the cameras are where they were, whatever its calibration states.
+    pub fn change_again(&self, cell: &mut SimulatedCell) {
+        self.differences.iter().for_each(|differences| differences.apply_to_cameras(cell));
+    }
 }
 
 /// The setups of all settings, each read once.
@@ -230,13 +283,14 @@ impl Setups {
 }
 
 fn read(settings: Settings, rendered: bool) -> Result<Setup> {
-    let Settings { wire_format, dialect, speed_percent } = settings;
+    let Settings { wire_format, dialect, speed_percent, line, has_six_axes } = settings;
     let of_arm = |arm: &str| {
         let gateway = format!("arms.{arm}.gateway");
         [format!("{gateway}.wire_format=\"{wire_format}\""), format!("{gateway}.dialect=\"{dialect}\"")]
     };
     let speed = format!("arms.speed_scale={}", f64::from(speed_percent) / 100.0);
-    let set = [of_arm("vs"), of_arm("tc")].concat().into_iter().chain([speed]).collect();
+    let six_axes = has_six_axes.then(|| "arms.carries_cameras=\"ur5e\"".to_owned());
+    let set = [of_arm("vs"), of_arm("tc")].concat().into_iter().chain([speed]).chain(six_axes).collect();
     let args = SetupArgs { configs: vec![repository().join("configs/hil.toml")], set, ..SetupArgs::default() };
     let mut setup = read_layers(&args).with_context(|| format!("configs/hil.toml with {settings:?}"))?;
     setup.pace = Pace::Fast;
@@ -246,6 +300,9 @@ fn read(settings: Settings, rendered: bool) -> Result<Setup> {
     }
     for arm in [&mut setup.rig.arms.vs, &mut setup.rig.arms.tc] {
         arm.plant.history = HISTORY;
+        if line == Line::Keyed {
+            arm.emulation_key = Some(SharedKey::new(&KEY)?);
+        }
     }
     Ok(setup)
 }

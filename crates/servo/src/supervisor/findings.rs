@@ -325,9 +325,8 @@ const fn safeguard(condition: Condition) -> Option<Safeguard> {
         Condition::OrientationUncertain => Safeguard::OrientationUncertain,
         Condition::CameraSkew => Safeguard::CameraSkew,
         Condition::ControllerRests => Safeguard::ControllerRests,
-        Condition::LowConfidence | Condition::LimitNear | Condition::Singularity | Condition::LateImages => {
-            return None;
-        }
+        Condition::LateImages => Safeguard::LateImages,
+        Condition::LowConfidence | Condition::LimitNear | Condition::Singularity => return None,
     })
 }
 

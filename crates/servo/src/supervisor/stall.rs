@@ -1,6 +1,7 @@
 //! Stalls: a part stands still for a moment, and the hold that follows keeps the target.
 
 use pb3dp_geometry::MonotonicTime;
+use pb3dp_safeguards::{Safeguard, is_off};
 
 use super::findings::{Cause, Detail, Findings};
 use super::inputs::Inputs;
@@ -30,7 +31,7 @@ impl Stalls {
     pub fn may_begin(&self, now: MonotonicTime) -> bool {
         let since_s = self.ended_at.map_or(f64::INFINITY, |ended| now.seconds_since(ended));
         // After a clock step nothing is known about the last one.
-        since_s >= STALLS_APART_S
+        since_s >= STALLS_APART_S || is_off(Safeguard::StallsApart)
     }
 
     /// Whether the stall of the present hold is not too long yet.
@@ -42,7 +43,9 @@ impl Stalls {
 /// Whether only parts that stand still inhibit motion, every policy of theirs lets the arm resume by itself, and the predicted target is
 /// still as certain as the policies demand of an estimate.
 pub(super) fn is_only_stalled(findings: &Findings, policies: &Policies, inputs: &Inputs) -> bool {
-    findings.all_at_least(policies, Action::Hold).all(|cause| is_stall(cause, policies)) && is_certain(policies, inputs)
+    let mut causes = findings.all_at_least(policies, Action::Hold);
+    let are_stalls = causes.all(|cause| is_stall(cause, policies)) || is_off(Safeguard::StallCause);
+    are_stalls && is_certain(policies, inputs)
 }
 
 fn is_stall(cause: Cause, policies: &Policies) -> bool {

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use nalgebra::Point3;
 use pb3dp_arm_pa10_protocol::codec::PA10_SPEED_MAX_RAD_PER_S;
+use pb3dp_arm_pa10_protocol::gateway_protocol::SharedKey;
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, World};
@@ -54,6 +55,8 @@ pub struct ArmSetup {
     pub command_timeout: Duration,
     /// Seed of the random faults of an emulated arm.
     pub emulation_seed: u64,
+    /// Key of the line of the emulated arm in simulated time; no file states it.
+    pub emulation_key: Option<SharedKey>,
     /// File with the passed steps of `pb3dp arm test`, if the setup states one.
     pub commissioning_record: Option<PathBuf>,
 }
@@ -366,6 +369,7 @@ impl ArmSection {
             },
             command_timeout: millis(timeout),
             emulation_seed: 0, // Each run seeds it: `Setup::reseed`.
+            emulation_key: None,
             commissioning_record: self.commissioning_record.clone(),
             chain,
         })

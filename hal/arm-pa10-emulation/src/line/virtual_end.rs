@@ -5,11 +5,13 @@ use std::sync::{Arc, Mutex};
 
 use pb3dp_arm_pa10::arm::VirtualFarEnd;
 use pb3dp_arm_pa10_gateway::gateway::Gateway;
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, SharedKey};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
 use pb3dp_hal_platform::transport::Connector;
 
 use super::virtual_line::{SharedLine, VirtualLine, VirtualPort, lock};
+pub use super::virtual_line::{Tampering, Towards};
 use crate::far_end::FarEnd;
 use crate::mock_controller::LineError;
 
@@ -30,6 +32,13 @@ impl VirtualEnd {
             line: Arc::new(Mutex::new(VirtualLine::new(baud))),
             touched: Arc::default(),
         }
+    }
+
+    /// The same with a key that host and gateway share: each frame travels in an authentic record, and the gateway notices a closed
+    /// connection, as on TCP. The handshake is left out.
+    pub fn with_key(self, key: SharedKey, arm: ArmId) -> Self {
+        lock(&self.line).set_key(key, arm);
+        self
     }
 
     /// Read access to gateway and controller.
@@ -57,9 +66,26 @@ impl VirtualEnd {
         self.set_plugged(true);
     }
 
+    /// The program at the host's end dies: nothing that it sends from now on arrives, and it cannot connect again. `is_closed`: the system
+    /// closes its connection, which a gateway notices if the line has a key.
+    pub fn lose_program(&self, is_closed: bool) {
+        lock(&self.line).lose_program(is_closed);
+        self.touched.store(true, Ordering::Release);
+    }
+
+    /// Somebody on the line changes, repeats or removes the next bytes that are sent.
+    pub fn tamper(&self, towards: Towards, tampering: Tampering) {
+        lock(&self.line).tamper(towards, tampering);
+    }
+
     /// The process of the gateway dies in the middle of its work, and a new one starts, which knows nothing of it. The cable stays
-    /// plugged in.
+    /// plugged in; a connection with a key ends.
     pub fn restart_gateway(&self) {
+        let mut line = lock(&self.line);
+        if line.has_key() {
+            line.cut();
+        }
+        drop(line);
         let mut far = lock(&self.far);
         let now = far.now();
         if let Some(gateway) = &mut far.gateway
@@ -82,7 +108,8 @@ impl VirtualEnd {
 
 impl VirtualFarEnd for VirtualEnd {
     fn connector(&self, clock: Arc<dyn Clock>) -> Box<dyn Connector> {
-        Box::new(VirtualPort { line: Arc::clone(&self.line), clock })
+        let program = lock(&self.line).program();
+        Box::new(VirtualPort { line: Arc::clone(&self.line), clock, program, touched: Arc::clone(&self.touched) })
     }
 
     fn is_touched(&self) -> bool {
@@ -104,12 +131,20 @@ impl VirtualFarEnd for VirtualEnd {
         let arrives = line.to_host.next_arrival().is_some_and(|at| at <= now);
         let mut far = lock(&self.far);
         far.advance(now, |_| {});
+        if line.take_left() {
+            far.hang_up();
+        }
         let mut buffer = [0; 512];
         let room = far.controller.readable_on_line(now).min(buffer.len());
         let count = line.to_gateway.take(now, &mut buffer[..room]);
         if count > 0 {
-            far.hear(now, &buffer[..count]);
+            let is_authentic = line.open(&buffer[..count], |frame| far.hear(now, frame));
             far.exchange(&mut |_| {});
+            if !is_authentic {
+                line.cut();
+                far.hang_up();
+                self.touched.store(true, Ordering::Release);
+            }
         }
         far.answer(now, |bytes| {
             if line.is_plugged() {

@@ -17,6 +17,8 @@ const JERK_SHARE: f64 = 1.1;
 /// Rounding of three commands, of which the middle one counts twice, by the host and again by a gateway that interpolates: each
 /// rounds to 1/5000 rad/s, so these are 2 * 4 times half a step, rad/s.
 const JERK_MORE_RAD_PER_S: f64 = 8e-4;
+/// From this share of the acceleration limit on, a drive that keeps this limit itself may hide its command.
+const CLIPPED_SHARE: f64 = 0.95;
 /// Number of steps without a disturbance until the jerk counts: the differences, and a cycle.
 const JERK_AFTER_STEPS: usize = 20;
 /// Tolerance of the speed limit: commands are rounded to 1/5000 rad/s, and the record to 2 ms.
@@ -192,10 +194,12 @@ fn jerk(rules: &Rules, (arm, joint): (usize, usize), steps: &[Step], found: &mut
         // Without samples of one arm, or once it is latched, the coupling holds the other one.
         let is_held = |arm: &ArmTruth| arm.commands_disturbed || arm.latched_since_s.is_some();
         let is_undisturbed = !pair[1].arms.iter().any(is_held) && now.command_age_s <= rules.fades_after_s;
-        let is_clear = is_commanded(now, joint) && is_undisturbed && !now.ramps;
-        known = if is_clear { known + 1 } else { 0 };
-        let left = (-(pair[1].t_s - pair[0].t_s) / limits.lag_s).exp();
         let [v0, v1] = [before, now].map(|arm| arm.velocity_rad_per_s[joint]);
+        let (passed_s, most_rad_per_s2) = (pair[1].t_s - pair[0].t_s, limits.acceleration_rad_per_s2[joint]);
+        let is_clipped = limits.drives_clip && (v1 - v0).abs() > CLIPPED_SHARE * most_rad_per_s2 * passed_s;
+        let is_clear = is_commanded(now, joint) && is_undisturbed && !now.ramps && !is_clipped;
+        known = if is_clear { known + 1 } else { 0 };
+        let left = (-passed_s / limits.lag_s).exp();
         commanded[index % commanded.len()] = (v1 - v0 * left) / (1.0 - left);
         if known < JERK_AFTER_STEPS {
             continue;

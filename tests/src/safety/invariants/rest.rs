@@ -40,6 +40,24 @@ pub(super) fn check(rules: &Rules, steps: &[Step], found: &mut Found) {
     }
 }
 
+/// Images that are older than their stamps seem to move with the hand. The hand may move by them until this is noticed; then it comes to
+/// rest.
+pub(super) fn late_images(rules: &Rules, steps: &[Step], found: &mut Found) {
+    let mut rests = MustRest::new(Invariant::LateImages, HAND_ARM);
+    let mut moved_s = 0.0;
+    for pair in steps.windows(2) {
+        let (before, step) = (&pair[0], &pair[1]);
+        let is_late = step.content_late_s >= rules.content_late_s;
+        let moves = step.arms[HAND_ARM].velocity_rad_per_s.iter().any(|speed| speed.abs() > rules.rest_rad_per_s);
+        moved_s = match (is_late, moves) {
+            (false, _) => 0.0,
+            (true, true) => moved_s + step.t_s - before.t_s,
+            (true, false) => moved_s,
+        };
+        rests.look(rules, step, (moved_s > rules.late_motion_s).then_some(0.0), found);
+    }
+}
+
 /// One reason for standstill, from its start to its end.
 struct MustRest {
     invariant: Invariant,

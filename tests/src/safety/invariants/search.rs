@@ -1,14 +1,12 @@
 //! How a hand may search for its target: close to the position of the loss, and slowly.
 
-use super::super::pa10::links;
 use super::super::rules::Rules;
 use super::super::truth::{HAND_ARM, Step};
 use super::{Found, Invariant, Place};
 
 pub(super) fn check(rules: &Rules, steps: &[Step], found: &mut Found) {
     let arm_rules = &rules.arms[HAND_ARM];
-    let flange_m =
-        |step: &Step| links(&arm_rules.body.lengths_m, &step.arms[HAND_ARM].position_rad).flange.translation_m;
+    let flange_m = |step: &Step| arm_rules.body.build.flange(&step.arms[HAND_ARM].position_rad).translation_m;
     let may = |step: &Step| {
         let arm = &step.arms[HAND_ARM];
         step.may_search && step.pose_age_s > rules.pose_age_max_s && arm.obeys() && arm.servo_on

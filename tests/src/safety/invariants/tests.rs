@@ -39,6 +39,7 @@ fn run(seconds: f64, goes: impl Fn(usize, f64) -> bool, mut change: impl FnMut(&
             pose_age_s: 0.05,
             may_search: false,
             is_inhibited: false,
+            content_late_s: 0.0,
             resets: 0,
             state: "tracking",
             says_why: true,
@@ -541,4 +542,38 @@ fn motion_while_a_condition_inhibits_the_hand_is_found() {
     };
     silent(&inhibited(true));
     assert_eq!(only(Invariant::RestWhileInhibited, &inhibited(false)).arm, Some(HAND_ARM));
+}
+
+#[test]
+fn a_recorder_that_stands_still_changes_no_motion() {
+    let undisturbed = run(2.0, always, |_| {});
+    assert_eq!(check_recorder_stall(&undisturbed, &undisturbed), None);
+    let mut moved = undisturbed.clone();
+    moved.steps[700].arms[1].position_rad[3] += 1e-12;
+    let violation = check_recorder_stall(&moved, &undisturbed).unwrap();
+    let place = (violation.invariant, violation.arm, violation.joint, violation.first_s);
+    assert_eq!(place, (Invariant::RecorderStall, Some(1), Some(3), undisturbed.steps[700].t_s));
+    let mut shorter = undisturbed.clone();
+    shorter.steps.truncate(900);
+    for (stalled, other) in [(&shorter, &undisturbed), (&undisturbed, &shorter)] {
+        assert_eq!(check_recorder_stall(stalled, other).unwrap().first_s, undisturbed.steps[900].t_s);
+    }
+}
+
+#[test]
+fn a_hand_that_moves_on_by_late_images_is_found() {
+    let late = |content_late_s: f64, from_s: f64| {
+        run(
+            7.0,
+            |_, t_s| !(5.0..5.5).contains(&t_s),
+            move |step| {
+                if step.t_s >= from_s {
+                    step.content_late_s = content_late_s;
+                }
+            },
+        )
+    };
+    silent(&late(0.1, 1.0));
+    silent(&late(0.2, 5.1));
+    assert_eq!(only(Invariant::LateImages, &late(0.2, 1.0)).arm, Some(0));
 }

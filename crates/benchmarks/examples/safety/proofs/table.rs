@@ -65,6 +65,9 @@ pub const PROOFS: &[Proof] = &[
     alone(CameraSkew, FREE, |_| vec![(0.0, 2.0, Kind::Skew(0.02))]),
     alone(PositionUncertain, FREE, |_| vec![(0.0, 2.0, Kind::Unsure([3000.0, 1.0]))]),
     alone(OrientationUncertain, FREE, |_| vec![(0.0, 2.0, Kind::Unsure([1.0, 300.0]))]),
+    alone(LateImages, FREE, |_| vec![(0.0, 4.0, Kind::OldContent(6))]),
+    alone(StallCause, FREE, |_| vec![(0.0, 0.36, Kind::Skew(0.02))]),
+    alone(StallsApart, FREE, |_| vec![(0.0, 0.30, Kind::EstimatesLost(1.0)), (0.6, 0.40, Kind::EstimatesLost(1.0))]),
     among(Outlier, &[ObservationAge, ControllerRests], FREE, |_| vec![(0.0, 2.0, Kind::Scatter(0.3))]),
     among(ClockStepped, &[JointsForward, ControllerRests], FREE, |_| {
         vec![(0.0, 4.0, Kind::ClockJump(-0.9)), (0.0, 4.0, Kind::EstimatesLost(1.0))]
