@@ -186,7 +186,7 @@ fn files_that_are_no_calibrations() {
     assert!(none.starts_with("0 calibration files were given"), "{none}");
     let missing = load_stereo(&[PathBuf::from("no/such/calib.yaml")]).unwrap_err();
     assert!(matches!(missing, CalibrationFileError::Read { .. }));
-    let said = "no/such/calib.yaml: cannot be read: it does not exist; give the path of a calibration, or write one with `pb3dp calibrate stereo`";
+    let said = "no/such/calib.yaml: cannot be read: no such file; give the path of a calibration, or write one with `pb3dp calibrate stereo`";
     assert_eq!(missing.to_string(), said);
     let empty = tempfile::tempdir().unwrap();
     let error = load_stereo(&[empty.path().to_path_buf()]).unwrap_err().to_string();

@@ -34,8 +34,7 @@ impl Document {
         let refuse = |reason: String| CalibrationFileError::Read { file: file.to_path_buf(), reason };
         if !file.exists() {
             return Err(refuse(
-                "it does not exist; give the path of a calibration, or write one with `pb3dp calibrate stereo`"
-                    .to_owned(),
+                "no such file; give the path of a calibration, or write one with `pb3dp calibrate stereo`".to_owned(),
             ));
         }
         if file.is_dir() {
