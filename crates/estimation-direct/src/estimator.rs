@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Point3, Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::EstimationError;
-use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose, SecondPlane};
+use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, SecondPlane};
 use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, MarkedTarget, VisiblePoint};
 use pb3dp_estimation_core::plane_hypothesis::{PlaneHypothesis, SearchRange};
@@ -14,9 +14,10 @@ use pb3dp_geometry::StereoRig;
 use super::cold_start::{ColdStart, ColdStartConfig};
 use super::colour_planes::Wanted;
 use super::directions::tell;
-use super::disparity_plane::{DisparityPlane, DisparityRange, RectifiedGeometry};
+use super::disparity_plane::{DisparityPlane, DisparityRange};
 use super::final_plane::final_plane;
 use super::front_end::StereoFrontEnd;
+use super::raw_view::RawView;
 use super::region_pyramid::{PyramidSource, RegionPyramid};
 use super::row_measurement::measure_rows;
 use super::shape::{self, ShapePixel};
@@ -64,25 +65,6 @@ pub struct DirectEstimator {
     outcome: Option<ColdStartOutcome>,
     mask: RegionMask,
     rectified: RegionMask,
-}
-
-/// Conversion of planes from the rectified pair to the raw left camera.
-pub(super) struct RawView {
-    pub(super) geometry: RectifiedGeometry,
-    /// Rotation `cam_left_from_cam_left_rect`.
-    pub(super) turn: Matrix3<f64>,
-    /// Ray of the region's centroid, third component 1.
-    pub(super) ray: Vector3<f64>,
-}
-
-impl RawView {
-    pub(super) fn inverse_depth_plane(&self, plane: &DisparityPlane) -> Vector3<f64> {
-        self.turn * plane.inverse_depth_plane(&self.geometry)
-    }
-
-    pub(super) fn pose(&self, plane: &DisparityPlane) -> Option<PlanePose> {
-        PlanePose::from_inverse_depth_plane(self.inverse_depth_plane(plane), &self.ray)
-    }
 }
 
 impl DirectEstimator {

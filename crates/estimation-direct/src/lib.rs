@@ -22,6 +22,7 @@ mod named_sums;
 pub mod outcome;
 pub mod patches;
 pub mod photometric;
+mod raw_view;
 pub mod reach;
 pub mod region_pyramid;
 mod repetition;

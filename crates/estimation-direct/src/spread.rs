@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 use pb3dp_estimation_core::estimate::{PlaneEstimate, PlanePose};
 
 use super::disparity_plane::{DisparityPlane, inverse_depth_from_disparity};
-use super::estimator::RawView;
+use super::raw_view::RawView;
 
 /// Root mean square angle between the pole of a half-sphere and normals distributed uniformly over it, `sqrt(pi - 2)`, radians:
 /// upper bound of the uncertainty of a normal that faces the camera.

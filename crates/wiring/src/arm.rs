@@ -34,7 +34,7 @@ use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig};
 use super::greeting;
 use super::nominal::EMULATION;
 use super::sole_program::sole_program;
-use super::standing::StandingArm;
+use super::standing::{SharedPlant, StandingArm};
 
 /// Largest difference between the limits in a controller's EEPROM and those of the robot description, degrees.
 pub const LIMITS_TOLERANCE_DEG: f64 = 0.5;
@@ -168,7 +168,7 @@ pub(super) fn wire_arms_to(
         driven: [limited(vs_wanted, vs_coupled)?, limited(tc_wanted, tc_coupled)?],
         flights: [(vs_name, vs_flight), (tc_name, tc_flight)],
         monitors: monitors.into_iter().filter_map(|(name, monitor)| Some((name, monitor?))).collect(),
-        standing: [(vs_name, &vs.emulated), (tc_name, &tc.emulated)].into_iter().filter_map(StandingArm::of).collect(),
+        standing: [(vs_name, &vs.emulated), (tc_name, &tc.emulated)].into_iter().filter_map(standing_arm).collect(),
         emulated: [vs.emulated, tc.emulated].into_iter().flatten().filter_map(Emulation::into_server).collect(),
         on_bus,
     })
@@ -335,14 +335,18 @@ pub(super) fn line(wanted: Wanted<'_>) -> Result<Option<(Line<'_>, Option<ArmAnd
 /// An emulated arm and its joints.
 type ArmAndPlant = (Emulation, SharedPlant);
 
-pub(super) type SharedPlant = Arc<Mutex<JointPlant>>;
-
 /// Interface of every backend.
 trait Backend: Arm + ArmPower {}
 
 impl<A: Arm + ArmPower> Backend for A {}
 
 type GuardedArm = Guard<Recorded<Box<dyn Backend>>>;
+
+/// The arm with this name, if it is emulated in simulated time.
+fn standing_arm((name, emulated): (&'static str, &Option<Emulation>)) -> Option<StandingArm> {
+    let Some(Emulation::Virtual(end, plant)) = emulated else { return None };
+    Some(StandingArm { name, end: end.clone(), plant: Arc::clone(plant) })
+}
 
 fn shared_plant(config: JointPlantConfig, wanted: Wanted<'_>) -> Result<SharedPlant> {
     let Wanted { name, arm, clock, .. } = wanted;

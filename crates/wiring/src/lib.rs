@@ -11,6 +11,7 @@ mod greeting;
 mod key_files;
 pub mod message_codes;
 mod nominal;
+pub mod reset_standing;
 mod simulated;
 mod sole_program;
 pub mod standing;

@@ -1,15 +1,12 @@
 //! Arms that are emulated in simulated time, and outlive the program that moves them.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
-use anyhow::{Context, Result, bail};
-use pb3dp_arm_pa10::arm::{VirtualTime, virtual_trip_line};
-use pb3dp_arm_pa10::driver::LimitsCheck;
 use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
-use pb3dp_hal_api::{ArmPower, Clock};
-use pb3dp_setup::setup::{ArmLink, GatewayWay, Setup};
+use pb3dp_sim::joint_dynamics::JointPlant;
 
-use super::arm::{Emulation, Line, SharedPlant, Wanted, connect};
+/// Joints of an emulated arm, for its controller and the simulation.
+pub(super) type SharedPlant = Arc<Mutex<JointPlant>>;
 
 /// An arm that is emulated in simulated time: the far end of its line and its joints. It outlives the program that moves it.
 #[derive(Clone)]
@@ -20,29 +17,4 @@ pub struct StandingArm {
     pub end: VirtualEnd,
     /// Its joints.
     pub(super) plant: SharedPlant,
-}
-
-impl StandingArm {
-    /// The arm with this name, if it is emulated in simulated time.
-    pub(super) fn of((name, emulated): (&'static str, &Option<Emulation>)) -> Option<Self> {
-        let Some(Emulation::Virtual(end, plant)) = emulated else { return None };
-        Some(Self { name, end: end.clone(), plant: Arc::clone(plant) })
-    }
-}
-
-/// Resets an arm in simulated time, as `pb3dp arm reset` does: nothing else, and its brakes stay closed.
-///
-/// # Errors
-/// If the arm cannot be connected, or a cause of its stop is present.
-pub fn reset_standing(setup: &Setup, (arm, time): (&StandingArm, &Arc<VirtualTime>)) -> Result<()> {
-    let of_setup = if arm.name == "vs-robot" { &setup.rig.arms.vs } else { &setup.rig.arms.tc };
-    let ArmLink::Gateway(link, GatewayWay::Emulated) = &of_setup.link else { bail!("{} has no gateway", arm.name) };
-    let clock: Arc<dyn Clock> = Arc::clone(time) as Arc<dyn Clock>;
-    let control_period = setup.control_period;
-    let wanted =
-        Wanted { name: arm.name, arm: of_setup, control_period, clock: &clock, time: Some(time), standing: Some(arm) };
-    let seat = virtual_trip_line(1).pop().context("a seat on the trip line between the arms")?;
-    let line = Line::Virtual(link, arm.end.clone(), time);
-    connect(line, (seat, LimitsCheck::Read), wanted)?.reset()?;
-    Ok(())
 }

@@ -7,7 +7,7 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_middleware::StartPose;
 use pb3dp_kinematics::JointVector;
 use pb3dp_setup::setup::Setup;
-use pb3dp_wiring::standing::reset_standing;
+use pb3dp_wiring::reset_standing::reset_standing;
 use pb3dp_wiring::{Wired, wire_cell_in};
 use system_tests::safety::truth::ARM_NAMES;
 
