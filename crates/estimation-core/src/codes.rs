@@ -18,6 +18,7 @@ codes! {
         UnknownMethod = "PB3DP-EST-009": "There is no estimation method of this name."; "Use one of the names in the message.";
         NotStarted = "PB3DP-EST-010": "The next frame was requested before a target was marked."; "Mark a target in the first request.";
         OnlyPairs = "PB3DP-EST-011": "The method estimates single pairs only and cannot track."; "Choose another method for sequences.";
+        NoSurface = "PB3DP-EST-012": "Too few pixels of the region have a match in the right image to give a surface."; "Check the depth range, the calibration, and whether left and right are exchanged.";
     }
 }
 

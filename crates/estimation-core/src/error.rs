@@ -73,6 +73,17 @@ pub enum EstimationError {
     /// A tracker received a frame before any target was marked.
     #[error("no target yet: mark a target in the first request")]
     NotStarted,
+    /// Too few pixels of a region have a match for a visible surface.
+    #[error(
+        "{matched_percent:.0} % of the region's pixels have a match in the right image, a surface needs {needed_percent:.0} %: check the depth \
+         range (--z-range), the calibration, and whether left and right are exchanged"
+    )]
+    NoSurface {
+        /// Share of the pixels that have a match.
+        matched_percent: f64,
+        /// The share that is needed.
+        needed_percent: f64,
+    },
     /// A tracker was requested for a method that estimates single pairs only.
     #[error("the method {method} estimates single pairs only and cannot track: choose another method for sequences")]
     OnlyPairs {

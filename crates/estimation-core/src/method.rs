@@ -212,10 +212,10 @@ pub trait EstimationMethod: Debug + Send {
     }
 
     /// The visible surface of a marked region in one pair, pixel by pixel, for objects that are no plane. Takes some milliseconds more than
-    /// an estimate. Empty for methods that find planes only, and if the right image shows none of the range.
+    /// an estimate. Empty for methods that find planes only.
     ///
     /// # Errors
-    /// As [`Self::estimate`].
+    /// As [`Self::estimate`]; too few pixels of the region have a match in the right image.
     fn visible_surface(&mut self, request: &EstimateRequest<'_>) -> Result<Vec<VisiblePoint>, EstimationError> {
         let _ = request;
         Ok(Vec::new())
@@ -248,8 +248,7 @@ pub struct SurfacePoint {
     pub position_in_model_m: Point3<f64>,
     /// Unit normal in `model`, towards the camera of the first frame.
     pub normal_in_model: Vector3<f64>,
-    /// Standard deviation along the ray of the first left image, relative to the plane of the target, metres. Those of neighbours are not
-    /// independent.
+    /// Standard deviation along the ray of the first left image, metres. Errors of neighbours are not independent.
     pub sigma_m: f64,
     /// Red, green, blue in the first left image, 0 to 255.
     pub rgb: [u8; 3],
@@ -262,7 +261,7 @@ pub struct VisiblePoint {
     pub pixel_px: Vector2<f64>,
     /// Position in `cam_left`, metres.
     pub position_in_cam_left_m: Point3<f64>,
-    /// Standard deviation along the ray of the pixel, metres. Those of neighbours are not independent.
+    /// Standard deviation along the ray of the pixel, metres. Errors of neighbours are not independent.
     pub sigma_m: f64,
     /// Whether the pixel has a match in the right image; otherwise its neighbours do.
     pub is_measured: bool,

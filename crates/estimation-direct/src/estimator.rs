@@ -287,11 +287,13 @@ impl DirectEstimator {
             search_area_px: shape::AREA_MAX_PX,
         };
         let mut pyramid = RegionPyramid::default();
-        if is_same_image(left, right) || !pyramid.update(&self.front_end, &source) {
-            return Ok(Vec::new());
-        }
+        let is_seen = !is_same_image(left, right) && pyramid.update(&self.front_end, &source);
         let search = &self.config.cold_start.search;
-        let pixels = shape::shape_of(&pyramid, disparity_px, search, self.front_end.kernels());
+        let pixels = match is_seen {
+            true => shape::shape_of(&pyramid, disparity_px, search, self.front_end.kernels()),
+            false => Vec::new(),
+        };
+        shape::check_matched(&pixels)?;
         let camera = self.front_end.raw_rig().left();
         let point = |pixel: &ShapePixel| {
             let z_m = view.geometry.depth_m(pixel.disparity_px)?;

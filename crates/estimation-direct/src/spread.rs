@@ -41,13 +41,17 @@ impl Spread {
 
     /// Whether a tilt of `pose` exceeds a limit by more than its uncertainty.
     pub(super) fn is_tilted_beyond(&self, pose: &PlanePose, limit_rad: f64) -> bool {
-        let q = pose.inverse_depth_plane;
-        let tilts_rad = [(-q.y).atan2(q.x.hypot(q.z)), q.x.atan2(q.z)];
         let is_beyond = |(axis, tilt_rad): (usize, f64)| {
             tilt_rad.abs() - limit_rad > TILT_SIGMAS * self.covariance[(axis + 1, axis + 1)].max(0.0).sqrt()
         };
-        tilts_rad.into_iter().enumerate().any(is_beyond)
+        tilts_rad(pose).into_iter().enumerate().any(is_beyond)
     }
+}
+
+/// Rotations about x and y of a plane that faces the camera.
+fn tilts_rad(pose: &PlanePose) -> [f64; 2] {
+    let q = pose.inverse_depth_plane;
+    [(-q.y).atan2(q.x.hypot(q.z)), q.x.atan2(q.z)]
 }
 
 /// Counts the second surface of an ambiguous region as a possible answer, as probable as its share of the region: its squared difference from
@@ -55,11 +59,11 @@ impl Spread {
 pub(super) fn include_second(estimate: &mut PlaneEstimate, share: f64) {
     let (Some(first), Some(second)) = (&estimate.pose, &estimate.second_plane) else { return };
     let probability = second.share / (second.share + share).max(1e-9);
-    let tilts = |pose: &PlanePose| {
-        let q = pose.inverse_depth_plane;
-        Vector3::new(pose.z_m, (-q.y).atan2(q.x.hypot(q.z)), q.x.atan2(q.z))
+    let parameters = |pose: &PlanePose| {
+        let [x_rad, y_rad] = tilts_rad(pose);
+        Vector3::new(pose.z_m, x_rad, y_rad)
     };
-    let apart = tilts(&second.pose) - tilts(first);
+    let apart = parameters(&second.pose) - parameters(first);
     let turn_rad = first.normal_in_cam_left.angle(&second.pose.normal_in_cam_left);
     if let Some(covariance) = &mut estimate.plane_covariance {
         *covariance += apart * apart.transpose() * probability;

@@ -3,6 +3,7 @@
 use image::{Rgb, RgbImage};
 use nalgebra::{Point3, Vector3};
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method, VisiblePoint};
+use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::method::EstimateRequest;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
@@ -125,4 +126,16 @@ fn ball_and_wall_have_their_depths_with_honest_standard_deviations() {
 fn a_method_for_planes_has_no_visible_surface() {
     let rig = common::general_rig();
     assert!(surface(&rig, &region(&rig), Method::Published).is_empty());
+}
+
+#[test]
+fn a_depth_range_without_the_scene_gives_no_surface() {
+    let rig = common::general_rig();
+    let (left, right) = photos(&rig);
+    let mut estimator = Estimator::new(Method::Direct, &rig, &EstimatorConfig::default()).unwrap();
+    let (region, beyond) = (region(&rig), SearchRange::new(1.2, 3.0, 0.785).unwrap());
+    for (right, range) in [(&right, beyond), (&left, SearchRange::new(0.35, 0.75, 0.785).unwrap())] {
+        let refused = estimator.visible_surface(&EstimateRequest::of_target(&left, right, &region, &range));
+        assert!(matches!(refused, Err(EstimationError::NoSurface { .. })), "{refused:?}");
+    }
 }

@@ -179,8 +179,8 @@ impl Estimator {
 
     /// The visible surface of a region, pixel by pixel, for objects that are no plane: positions in `cam_left` N x 3 in metres, standard
     /// deviations along the rays of the pixels N in metres, colours N x 3, and whether the pixel has a match of its own in the right image;
-    /// others have a depth of their neighbours. Errors of neighbours are not independent. Empty for the published method, and if the right
-    /// image shows no depth of the range. If less than half of the points have a match, the depth range or the calibration is wrong. `left`, `right` and `region` as for `estimate`.
+    /// others have a depth of their neighbours. Errors of neighbours are not independent. Empty for the published method. If too few pixels
+    /// have a match, it raises `PB3DP-EST-012`: the depth range or the calibration is wrong. `left`, `right` and `region` as for `estimate`.
     fn visible_surface<'py>(
         &self,
         py: Python<'py>,

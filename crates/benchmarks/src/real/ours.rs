@@ -63,7 +63,8 @@ fn fill(entry: &mut Entry, case: &Prepared, method: Method, repeat: u32) -> anyh
     entry.first_ms = Some(first_ms);
     if let Some(truth) = case.disparity.as_ref().filter(|_| !case.facts.is_planar()) {
         let request = EstimateRequest::of_target(&case.images.left, &case.images.right, &case.region, &case.range);
-        entry.surface = surface_score(case, &estimator.visible_surface(&request)?, truth);
+        let points = estimator.visible_surface(&request).ok();
+        entry.surface = points.and_then(|points| surface_score(case, &points, truth));
     }
     Ok(())
 }

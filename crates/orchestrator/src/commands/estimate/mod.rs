@@ -8,7 +8,7 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use nalgebra::Vector2;
 use pb3dp_cell::annotation::{Annotation, annotate, polygon_px};
 use pb3dp_cell::calibration_share::of_first;
@@ -183,7 +183,10 @@ fn work(
     rigs.give_back(estimator);
     let mut estimate = estimate?;
     let surface = match (&args.surface, visible) {
-        (Some(file), Some(points)) => Some(surface::write(file, &points?)?),
+        (Some(file), Some(points)) => {
+            let points = points.with_context(|| format!("--surface {}: not written", file.display()))?;
+            Some(surface::write(file, &points)?)
+        }
         _ => None,
     };
     if args.reference_optimum {
