@@ -7,6 +7,8 @@ use crate::workspace::Workspace;
 
 /// The nightly cargo. `rustup run` selects the toolchain, because the cargo that runs us belongs to one toolchain.
 ///
+/// A missing component of it is fetched if the network permits.
+///
 /// # Errors
 /// [`NotPossible`] without the nightly toolchain or a `component` of it (a cargo subcommand). The message gives the command.
 pub fn cargo(workspace: &Workspace, component: Option<&str>) -> anyhow::Result<Command> {
@@ -14,13 +16,16 @@ pub fn cargo(workspace: &Workspace, component: Option<&str>) -> anyhow::Result<C
         let install = "rustup toolchain install nightly --profile minimal";
         return Err(NotPossible::because(format!("the nightly toolchain is missing: run `{install}`")));
     }
-    if let Some(component) = component
-        && !answers(plain(workspace).arg(component))
-    {
-        let install = format!("rustup component add --toolchain nightly {component} rust-src");
-        return Err(NotPossible::because(format!("{component} is missing: run `{install}`")));
+    let Some(component) = component else { return Ok(plain(workspace)) };
+    if answers(plain(workspace).arg(component)) {
+        return Ok(plain(workspace));
     }
-    Ok(plain(workspace))
+    let add = ["component", "add", "--toolchain", "nightly", component, "rust-src"];
+    let _ = workspace.output_of("rustup", &add);
+    match answers(plain(workspace).arg(component)) {
+        true => Ok(plain(workspace)),
+        false => Err(NotPossible::because(format!("{component} is missing: run `rustup {}`", add.join(" ")))),
+    }
 }
 
 /// Our own cargo sets variables that name its toolchain; with them the nightly cargo would use the stable rustc.

@@ -2,6 +2,7 @@
 //!
 //! Works in the rectified pair; [`super::estimator`] converts the result into an estimate.
 
+mod areas;
 mod contest;
 mod levels;
 
@@ -156,8 +157,12 @@ pub struct ColdStart {
     kernels: Kernels,
     pyramid: RegionPyramid,
     search: PlaneSearch,
+    /// Search of the disparity of every pixel.
+    dense: PlaneSearch,
     patches: SlantedPatches,
     refiner: PlaneRefiner,
+    /// The region with its surroundings, loaded only where they are used.
+    surrounded: RegionPyramid,
     surroundings: Surroundings,
     repetition: Repetition,
     beyond: Beyond,
@@ -172,7 +177,8 @@ impl ColdStart {
         let refiner = PlaneRefiner::new(config.refine.clone(), kernels);
         let pyramid = RegionPyramid::up_to(config.finest_area_px()).keeping_colours();
         let beyond = Beyond::new(&config.choice);
-        Self { config, kernels, pyramid, refiner, beyond, ..Self::default() }
+        let surrounded = RegionPyramid::surrounded(config.surroundings_px);
+        Self { config, kernels, pyramid, surrounded, refiner, beyond, ..Self::default() }
     }
 
     /// The parameters.
@@ -215,6 +221,9 @@ impl ColdStart {
             return None;
         }
         self.search(source.disparity_px, &allowed, may_continue);
+        if may_continue() {
+            self.prefer_larger(source.disparity_px);
+        }
         let (Descent { plane: patch_plane, patches: finest, level }, contender) = self.contest(may_continue)?;
         let first = *self.surfaces.first()?;
         let (second, alias) = self.rivals(&first);
@@ -223,7 +232,7 @@ impl ColdStart {
             false => None,
         };
         let refined = match refined {
-            Some(own) if may_continue() => Some(self.with_surroundings(own, front_end, source)),
+            Some(own) if may_continue() => Some(self.with_surroundings(own, front_end, source, &finest)),
             _ => refined,
         };
         let at_refined = refined.map(|refined| match self.is_settled(level, &patch_plane, &refined.plane) {
@@ -300,17 +309,27 @@ impl ColdStart {
         own: RefinedPlane,
         front_end: &StereoFrontEnd,
         source: &PyramidSource<'_>,
+        finest: &PatchOutcome,
     ) -> RefinedPlane {
         let reach = self.config.surroundings_px.min(reach::REACH_MAX_PX);
-        let is_full_size = self.pyramid.levels().first().is_some_and(|level| level.scale == 1);
-        let is_small = is_full_size && self.pyramid.area_px() <= reach::AREA_MAX_PX;
-        if reach == 0 || !is_small || !surroundings::are_wanted(&own, front_end.geometry()) {
+        let Some(level) = self.pyramid.levels().first().filter(|level| level.scale == 1) else { return own };
+        let area_px = self.pyramid.area_px();
+        let is_small = area_px <= reach::SMALL_PX;
+        let is_whole = support_of(finest) >= self.config.choice.whole_support_min;
+        let may_grow = reach > 0 && (is_small || area_px <= reach::AREA_MAX_PX && is_whole);
+        if !may_grow || !surroundings::are_wanted(&own, front_end.geometry(), is_small) {
             return own;
         }
-        let level = &mut self.pyramid.levels_mut()[0];
-        let added = self.surroundings.extend(level, &own, reach, self.kernels);
-        let wide = if added > 0 { self.refiner.refine(front_end, source, &self.pyramid, &own.plane) } else { None };
-        self.surroundings.restore(&mut self.pyramid.levels_mut()[0]);
+        // The windows of the search do not show the surroundings.
+        if !self.surrounded.update(front_end, source) {
+            return own;
+        }
+        let wide = &mut self.surrounded.levels_mut()[0];
+        wide.take_support(level);
+        if self.surroundings.extend(wide, &own, reach, self.kernels) == 0 {
+            return own;
+        }
+        let wide = self.refiner.refine(front_end, source, &self.surrounded, &own.plane);
         wide.filter(|wide| surroundings::replaces(wide, &own)).unwrap_or(own)
     }
 
@@ -415,7 +434,7 @@ impl ColdStart {
             let score = surface_score(&patches, self.search.valid_share * candidate.share);
             let plane = level.full_plane(&patches.plane, centre);
             self.masks[mask].clone_from(&level.support);
-            self.surfaces.push(Surface { plane, share: candidate.share, patches, score, mask });
+            self.surfaces.push(Surface { plane, share: candidate.share, patches, score, area_share: None, mask });
         }
         self.surfaces.sort_by(|a, b| b.score.total_cmp(&a.score));
         self.look_again_at_near_equals(index, centre);
@@ -514,7 +533,10 @@ impl ColdStart {
                 if alias.is_none_or(|known| rival.score_ratio > known.score_ratio) {
                     alias = Some(rival);
                 }
-            } else if rival.own_share >= self.config.choice.own_share_min
+                continue;
+            }
+            let rival = Rival { own_share: other.area_share.unwrap_or(rival.own_share), ..rival };
+            if rival.own_share >= self.config.choice.own_share_min
                 && second.is_none_or(|known| rival.own_share > known.own_share)
             {
                 second = Some(rival);

@@ -290,7 +290,10 @@ impl DirectEstimator {
         let is_seen = !is_same_image(left, right) && pyramid.update(&self.front_end, &source);
         let search = &self.config.cold_start.search;
         let pixels = match is_seen {
-            true => shape::shape_of(&pyramid, disparity_px, search, self.front_end.kernels()),
+            true => {
+                let level = &pyramid.levels()[pyramid.search_level()];
+                shape::shape_of(level, disparity_px, search, self.front_end.kernels())
+            }
             false => Vec::new(),
         };
         shape::check_matched(&pixels)?;

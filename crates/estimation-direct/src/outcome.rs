@@ -11,7 +11,7 @@ pub struct Rival {
     pub plane: DisparityPlane,
     /// Its score divided by the score of the best surface.
     pub score_ratio: f64,
-    /// Share of the region's pixels that support this surface and not the best one.
+    /// Share of the region's pixels on this surface; of an alias, that of the pixels that support it and not the best surface.
     pub own_share: f64,
     /// Pixels that support both surfaces, as a share of those that support the smaller one.
     pub overlap: f64,
@@ -97,6 +97,13 @@ pub(super) fn support_of(patches: &PatchOutcome) -> f64 {
     patches.textured_share * patches.support_share
 }
 
+impl ColdStartOutcome {
+    /// Share of the region's pixels on the best surface.
+    pub(super) fn first_share(&self) -> f64 {
+        self.first.area_share.unwrap_or(support_of(&self.first.patches))
+    }
+}
+
 /// A candidate plane with its patch result.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Surface {
@@ -108,6 +115,9 @@ pub struct Surface {
     pub patches: PatchOutcome,
     /// Score by which surfaces are sorted, at most 2.
     pub score: f64,
+    /// Share of the region's pixels whose disparity is on the plane; only for the best surface and others that are no alias of it, if
+    /// there are any.
+    pub area_share: Option<f64>,
     /// Index of the support mask of its patches.
     pub(super) mask: usize,
 }

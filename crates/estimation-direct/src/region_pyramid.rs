@@ -28,8 +28,6 @@ pub const LEVELS_MAX: usize = 6;
 const HALVED_FROM_PX: usize = 600;
 /// Margin of the windows around the region, pixels of the search level: half a patch, 7 px, and 3 px for a filter.
 const MARGIN_PX: u32 = 10;
-/// Margin of the windows around a small region, whose surroundings may be used.
-const SURROUNDINGS_PX: u32 = (reach::REACH_MAX_PX + reach::MARGIN_PX) as u32;
 
 /// Disparities beyond this do not occur in images, pixels.
 const DISPARITY_MAX_PX: f64 = 1e9;
@@ -122,6 +120,21 @@ impl RegionLevel {
         DisparityPlane { centre_px: centre, d0_px, slope: Vector2::new(plane.a, plane.b) }.centred_at(centre_px)
     }
 
+    /// Marks the pixels that are marked in another level of the same size; its windows may be smaller or larger.
+    pub(super) fn take_support(&mut self, other: &Self) {
+        let (from, to) = (other.left.window, self.left.window);
+        let end = |window: PixelWindow| window.x + window.width as i32;
+        let (first, last) = (from.x.max(to.x), end(from).min(end(to)));
+        self.support.fill(0);
+        for y in from.y.max(to.y)..(from.y + from.height as i32).min(to.y + to.height as i32) {
+            let part = |window: PixelWindow| {
+                let row = (y - window.y) as usize * window.width;
+                row + (first - window.x) as usize..row + (last.max(first) - window.x) as usize
+            };
+            self.support[part(to)].copy_from_slice(&other.support[part(from)]);
+        }
+    }
+
     /// Marks the whole region for refinement again.
     pub fn reset_support(&mut self) {
         self.support.clone_from(&self.region);
@@ -144,6 +157,8 @@ pub struct RegionPyramid {
     regions: [Vec<u8>; 2],
     /// Whether the resampled colours of both windows are kept for the refinement.
     keeps_colours: bool,
+    /// Width of the surroundings that are loaded at full size, pixels; 0: what the search on all levels needs.
+    surroundings_px: u32,
     colours: [ColourPlanes; 2],
     colour_scale: usize,
 }
@@ -159,6 +174,12 @@ impl RegionPyramid {
     #[must_use]
     pub fn keeping_colours(self) -> Self {
         Self { keeps_colours: true, ..self }
+    }
+
+    /// The full size only, with the surroundings of the region up to this distance, pixels.
+    pub fn surrounded(reach_px: usize) -> Self {
+        let surroundings_px = (reach_px.min(reach::REACH_MAX_PX) + reach::MARGIN_PX) as u32;
+        Self { surroundings_px, ..Self::default() }.keeping_colours()
     }
 
     /// Rectified pixels per pixel of the kept colours along rows and columns.
@@ -213,7 +234,10 @@ impl RegionPyramid {
         let halvings = |limit: usize| (0..LEVELS_MAX - 1).take_while(|&i| self.area_px >> (2 * i) > limit).count();
         let finest = self.area_max_px.map_or(0, halvings).min(halvings(source.search_area_px));
         self.search_level = halvings(source.search_area_px) - finest;
-        let count = 1 + halvings(HALVED_FROM_PX).max(finest + self.search_level) - finest;
+        let count = match self.surroundings_px {
+            0 => 1 + halvings(HALVED_FROM_PX).max(finest + self.search_level) - finest,
+            _ => 1,
+        };
         if self.levels.len() < count {
             self.levels.resize_with(count, RegionLevel::default);
         }
@@ -240,8 +264,10 @@ impl RegionPyramid {
         finest: usize,
         count: usize,
     ) -> [PixelWindow; 2] {
-        let around = if self.area_px <= reach::AREA_MAX_PX { SURROUNDINGS_PX } else { 0 };
-        let margin = i64::from((MARGIN_PX << (finest + self.search_level)).max(around));
+        let margin = match self.surroundings_px {
+            0 => i64::from(MARGIN_PX << (finest + self.search_level)),
+            surroundings_px => i64::from(surroundings_px),
+        };
         let grid = 1_i64 << (finest + count - 1);
         let b = self.box_px;
         let size = front_end.size(Side::Left);
@@ -412,6 +438,22 @@ mod tests {
         let camera = |cx| Camera::new(size, Pinhole { fx: 310.0, fy: 305.0, cx, cy: 90.0 }, Distortion::None).unwrap();
         let pose = Pose::from_parts(Vector3::new(-0.1, 0.0, 0.0), nalgebra::UnitQuaternion::identity());
         StereoFrontEnd::new(&StereoRig::new(camera(140.0), camera(152.0), pose).unwrap(), Kernels::best()).unwrap()
+    }
+
+    #[test]
+    fn marks_are_taken_where_both_windows_overlap() {
+        let level = |x, y, width: usize, height: usize, value: u8| {
+            let window = PixelWindow { x, y, width, height };
+            let left = ColourPlanes { window, ..ColourPlanes::default() };
+            RegionLevel { left, support: vec![value; width * height], ..RegionLevel::default() }
+        };
+        let marked = |mut to: RegionLevel, from: &RegionLevel| {
+            to.take_support(from);
+            to.support
+        };
+        assert_eq!(marked(level(3, 5, 4, 3, 7), &level(4, 6, 2, 1, 2)), [0, 0, 0, 0, 0, 2, 2, 0, 0, 0, 0, 0]);
+        assert_eq!(marked(level(3, 5, 3, 2, 7), &level(1, 2, 4, 4, 1)), [1, 1, 0, 0, 0, 0]);
+        assert_eq!(marked(level(3, 5, 2, 1, 7), &level(9, 5, 4, 4, 1)), [0, 0]);
     }
 
     /// Sum of channels `3 (0.4 u + 0.3 v)`: luminance is `sqrt 3` times the bracket, up to rounding.

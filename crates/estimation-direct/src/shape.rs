@@ -9,7 +9,7 @@ use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::EstimationError;
 
 use super::disparity_plane::DisparityRange;
-use super::region_pyramid::{RegionLevel, RegionPyramid};
+use super::region_pyramid::RegionLevel;
 use super::search::aggregate::{Penalties, WinnerRules};
 use super::search::volume::LevelBox;
 use super::search::{PlaneSearch, PlaneSearchConfig};
@@ -56,18 +56,21 @@ pub(super) struct ShapePixel {
     pub(super) is_measured: bool,
 }
 
+/// Parameters of a search for the disparities of all pixels of a surface.
+pub(super) fn surface_search(config: &PlaneSearchConfig) -> PlaneSearchConfig {
+    let winner = WinnerRules { uniqueness: UNIQUENESS, ..config.winner };
+    PlaneSearchConfig { penalties: PENALTIES, winner, ..*config }
+}
+
 /// The disparities of a region, row by row; none if the right image shows none of the range.
 pub(super) fn shape_of(
-    pyramid: &RegionPyramid,
+    level: &RegionLevel,
     range_px: DisparityRange,
     config: &PlaneSearchConfig,
     kernels: Kernels,
 ) -> Vec<ShapePixel> {
-    let winner = WinnerRules { uniqueness: UNIQUENESS, ..config.winner };
-    let config = PlaneSearchConfig { penalties: PENALTIES, winner, ..*config };
-    let Some(level) = pyramid.levels().get(pyramid.search_level()) else { return Vec::new() };
     let mut search = PlaneSearch::default();
-    if !search.match_pixels(level, range_px, &config, kernels) {
+    if !search.match_pixels(level, range_px, &surface_search(config), kernels) {
         return Vec::new();
     }
     let found = search.disparities();

@@ -201,8 +201,7 @@ fn other_plane(rival: &DisparityPlane, plane: &DisparityPlane) -> String {
 
 /// A second surface that covers about as much of the region as the first.
 pub(super) fn similar_second(outcome: &ColdStartOutcome, limits: &DirectVerdictConfig) -> Option<Rival> {
-    let first_share = support_of(&outcome.first.patches);
-    outcome.second.filter(|second| second.own_share > limits.second_share_max * first_share)
+    outcome.second.filter(|second| second.own_share > limits.second_share_max * outcome.first_share())
 }
 
 /// Reason if another plane is nearly as good on the finest level.
@@ -255,13 +254,12 @@ pub(super) fn judge(
         let advice = "the target may be outside the depth range; widen it (--z-range)";
         return say(Status::Ambiguous, format!("{seen}: {advice}"));
     }
-    let first_share = support_of(&outcome.first.patches);
     if let Some(second) = similar_second(outcome, limits) {
         return say(
             Status::Ambiguous,
             format!(
                 "two surfaces cover similar shares of the region, {:.0} % and {:.0} %: mark one of them",
-                100.0 * first_share,
+                100.0 * outcome.first_share(),
                 100.0 * second.own_share
             ),
         );
@@ -307,7 +305,7 @@ mod tests {
             mean_correlation: 0.8,
         };
         let status = |share: f64| {
-            let first = Surface { plane, share, patches: finest, score: 0.3, mask: 0 };
+            let first = Surface { plane, share, patches: finest, score: 0.3, area_share: None, mask: 0 };
             let outcome = ColdStartOutcome {
                 first,
                 second: None,

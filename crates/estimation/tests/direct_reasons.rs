@@ -235,6 +235,9 @@ fn the_width_of_an_edge_is_not_taken_for_a_sure_slope() {
     let mut aware = DirectConfig::default();
     // Clear disparities of such a region contradict a wrong slope too; here the blur alone must suffice.
     aware.cold_start.choice.nearby_support_max = 0.0;
+    // So do the areas of other surfaces, and edges farther away.
+    aware.cold_start.choice.own_share_min = 1.0;
+    aware.cold_start.surroundings_px = 16;
     let mut unaware = aware.clone();
     unaware.cold_start.refine.blur_sigma_px2 = 0.0;
     let mut wrong = [0; 2];

@@ -17,7 +17,7 @@ const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
 fn both(scene: &Scene, region: &Region, range: &SearchRange) -> [PlaneEstimate; 2] {
     let rig = scene::rectified_rig(SIZE);
     let (left, right) = scene.render(&rig);
-    [0, 16].map(|surroundings_px| {
+    [0, 32].map(|surroundings_px| {
         let mut config = DirectConfig::default();
         config.cold_start.surroundings_px = surroundings_px;
         let mut estimator = DirectEstimator::new(&rig, config).unwrap();

@@ -32,6 +32,7 @@ mod published_track_safety;
 mod raw_rigs;
 mod rig_plan;
 mod robustness;
+mod shared_regions;
 mod small_targets;
 mod track_no_surface;
 mod visible_surface;
