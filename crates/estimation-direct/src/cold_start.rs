@@ -227,14 +227,7 @@ impl ColdStart {
         let (Descent { plane: patch_plane, patches: finest, level }, contender) = self.contest(may_continue)?;
         let first = *self.surfaces.first()?;
         let (second, alias) = self.rivals(&first);
-        let refined = match may_continue() {
-            true => self.refiner.refine(front_end, source, &self.pyramid, &patch_plane),
-            false => None,
-        };
-        let refined = match refined {
-            Some(own) if may_continue() => Some(self.with_surroundings(own, front_end, source, &finest)),
-            _ => refined,
-        };
+        let refined = self.refined(front_end, source, &patch_plane, &finest, may_continue);
         let at_refined = refined.map(|refined| match self.is_settled(level, &patch_plane, &refined.plane) {
             true => finest,
             false => self.look(level, &refined.plane),
@@ -302,6 +295,22 @@ impl ColdStart {
         )
     }
 
+    /// Refines a plane, of a small region with its surroundings, if there is time; `None` without time or with too few points.
+    fn refined(
+        &mut self,
+        front_end: &StereoFrontEnd,
+        source: &PyramidSource<'_>,
+        start: &DisparityPlane,
+        finest: &PatchOutcome,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Option<RefinedPlane> {
+        if !may_continue() {
+            return None;
+        }
+        let own = self.refiner.refine(front_end, source, &self.pyramid, start)?;
+        Some(if may_continue() { self.with_surroundings(own, front_end, source, finest) } else { own })
+    }
+
     /// Refines the plane of a small region together with its agreeing surroundings, if this is more accurate; see
     /// [`super::surroundings`].
     fn with_surroundings(
@@ -330,7 +339,7 @@ impl ColdStart {
             return own;
         }
         let wide = self.refiner.refine(front_end, source, &self.surrounded, &own.plane);
-        wide.filter(|wide| surroundings::replaces(wide, &own)).unwrap_or(own)
+        wide.and_then(|wide| surroundings::replacement(wide, &own)).unwrap_or(own)
     }
 
     /// The plane that explains the most clear disparities within one pixel. `None` if there are too few of them, if the plane

@@ -9,7 +9,7 @@ use crate::surface_choice::SurfaceChoice;
 
 /// If two planes have independent errors of equal size, each has half of the variance of their difference (the sum of both
 /// variances).
-const EQUAL_ERRORS: f64 = 0.5;
+pub(super) const EQUAL_ERRORS: f64 = 0.5;
 
 /// Growth of the variance of the refined plane with the share of the region that does not support it: pixels near the edge of another
 /// surface are biased alike, which blocks of pixels do not show. Chosen with figures: the NEES of rendered rectangles 30 and 100 mm in front

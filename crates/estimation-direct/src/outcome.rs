@@ -115,8 +115,8 @@ pub struct Surface {
     pub patches: PatchOutcome,
     /// Score by which surfaces are sorted, at most 2.
     pub score: f64,
-    /// Share of the region's pixels whose disparity is on the plane; only for the best surface and others that are no alias of it, if
-    /// there are any.
+    /// Share of the region's pixels whose disparity is on the plane, those in the middle count more; only for the best surface and others
+    /// that are no alias of it, if there are any.
     pub area_share: Option<f64>,
     /// Index of the support mask of its patches.
     pub(super) mask: usize,

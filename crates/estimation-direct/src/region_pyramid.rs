@@ -126,10 +126,13 @@ impl RegionLevel {
         let end = |window: PixelWindow| window.x + window.width as i32;
         let (first, last) = (from.x.max(to.x), end(from).min(end(to)));
         self.support.fill(0);
+        if first >= last {
+            return;
+        }
         for y in from.y.max(to.y)..(from.y + from.height as i32).min(to.y + to.height as i32) {
             let part = |window: PixelWindow| {
                 let row = (y - window.y) as usize * window.width;
-                row + (first - window.x) as usize..row + (last.max(first) - window.x) as usize
+                row + (first - window.x) as usize..row + (last - window.x) as usize
             };
             self.support[part(to)].copy_from_slice(&other.support[part(from)]);
         }

@@ -14,6 +14,7 @@ use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::wide::wide;
 
 use super::disparity_plane::RectifiedGeometry;
+use super::final_plane::EQUAL_ERRORS;
 use super::patches::USABLE;
 use super::photometric::RefinedPlane;
 use super::region_pyramid::{LevelPlane, RegionLevel};
@@ -341,13 +342,14 @@ pub(super) fn are_wanted(refined: &RefinedPlane, geometry: &RectifiedGeometry, i
     refined.converged && full > 0.0 && sigma_rad > limit_rad
 }
 
-/// Whether a plane refined with the surroundings replaces the region's own: it is more accurate and consistent with the
-/// region's covariance.
-pub(super) fn replaces(wide: &RefinedPlane, own: &RefinedPlane) -> bool {
+/// The plane refined with the surroundings, if it replaces the region's own: it is more accurate and consistent with the region's
+/// covariance. A surface that bends away unnoticed moves it within that, so half of the squared difference of the two counts as variance.
+pub(super) fn replacement(wide: RefinedPlane, own: &RefinedPlane) -> Option<RefinedPlane> {
     let gap = wide.plane.centred_at(own.plane.centre_px).parameters() - own.plane.parameters();
     let distance = own.covariance.try_inverse().map_or(f64::MAX, |inverse| gap.dot(&(inverse * gap)));
     let slopes = |refined: &RefinedPlane| refined.covariance[(1, 1)] + refined.covariance[(2, 2)];
-    wide.converged && distance <= DISTANCE_MAX && slopes(wide) < SHRINKAGE_MAX * slopes(own)
+    let replaces = wide.converged && distance <= DISTANCE_MAX && slopes(&wide) < SHRINKAGE_MAX * slopes(own);
+    replaces.then(|| RefinedPlane { covariance: wide.covariance + gap * gap.transpose() * EQUAL_ERRORS, ..wide })
 }
 
 /// Adds the pixels up to `reach` columns and rows around a binary mask.
@@ -504,10 +506,13 @@ mod tests {
             wide.plane.slope.x += slope;
             wide
         };
-        assert!(replaces(&moved(0.004, 0.001), &own));
-        assert!(!replaces(&moved(0.012, 0.001), &own), "too far from the region's own");
-        assert!(!replaces(&moved(0.001, 0.0029), &own), "no better known");
-        assert!(!replaces(&RefinedPlane { converged: false, ..moved(0.0, 0.001) }, &own));
+        assert!(replacement(moved(0.004, 0.001), &own).is_some());
+        assert!(replacement(moved(0.012, 0.001), &own).is_none(), "too far from the region's own");
+        assert!(replacement(moved(0.001, 0.0029), &own).is_none(), "no better known");
+        assert!(replacement(RefinedPlane { converged: false, ..moved(0.0, 0.001) }, &own).is_none());
+        // Half of the squared difference in the slope is added to the variance.
+        let slope = replacement(moved(0.004, 0.001), &own).unwrap().covariance[(1, 1)];
+        assert!((slope - (0.001_f64.powi(2) + 0.5 * 0.004_f64.powi(2))).abs() < 1e-12, "{slope}");
     }
 
     #[test]
