@@ -251,15 +251,25 @@ impl PlaneSearch {
         plane: &LevelPlane,
         choice: &SurfaceChoice,
     ) -> Option<(ContinuedSurface, LevelPlane)> {
-        let (area, stride) = (self.volume.area, level.left.window.width);
-        let clear = |y: usize| {
-            let inside = &level.region[(area.y + y) * stride + area.x..][..area.width];
-            let values = &self.aggregation.disparity[y * area.width..][..area.width];
-            inside.iter().zip(values).map(|(&inside, &d)| if inside != 0 { d } else { f32::NAN })
-        };
         let start = coefficients(&self.volume, level, plane);
-        let found = self.continuation.of((0..area.height).flat_map(clear), area.width, &start, choice)?;
+        let clear = clear_of(&self.volume, &self.aggregation, level);
+        let found = self.continuation.of(clear, self.volume.area.width, &start, choice)?;
         Some((found, level_plane(&self.volume, level, &found.plane)))
+    }
+
+    /// Whether the surface of the last search that continues a plane contains most of the pixels within a distance (pixels of the level) of
+    /// another plane.
+    pub fn reaches(
+        &mut self,
+        level: &RegionLevel,
+        from: &LevelPlane,
+        to: &LevelPlane,
+        near_px: f64,
+        choice: &SurfaceChoice,
+    ) -> bool {
+        let [from, to] = [from, to].map(|plane| coefficients(&self.volume, level, plane));
+        let clear = clear_of(&self.volume, &self.aggregation, level);
+        self.continuation.reaches(clear, self.volume.area.width, [&from, &to], near_px as f32, choice)
     }
 
     /// Soft share of the clear disparities of the last search on a plane, with a tolerance in pixels of the level.
@@ -336,6 +346,20 @@ impl PlaneSearch {
         }
         push_peaks(&self.column, 4, &mut self.seeds);
     }
+}
+
+/// The clear disparities of the region, row by row; NaN where there is none.
+fn clear_of<'a>(
+    volume: &CostVolume,
+    aggregation: &'a Aggregation,
+    level: &'a RegionLevel,
+) -> impl Iterator<Item = f32> + use<'a> {
+    let (area, stride) = (volume.area, level.left.window.width);
+    (0..area.height).flat_map(move |y| {
+        let inside = &level.region[(area.y + y) * stride + area.x..][..area.width];
+        let values = &aggregation.disparity[y * area.width..][..area.width];
+        inside.iter().zip(values).map(|(&inside, &d)| if inside != 0 { d } else { f32::NAN })
+    })
 }
 
 /// Converts from pixels of the box and steps of the volume to a plane of the level.

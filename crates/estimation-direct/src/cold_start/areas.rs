@@ -20,12 +20,21 @@ impl ColdStart {
                 && rival.overlap <= self.config.choice.overlap_of_alias
                 && share >= self.config.choice.own_share_min
         };
-        let others = (1..self.surfaces.len()).filter(|&i| is_other(&self.surfaces[i])).collect::<Vec<_>>();
+        let mut others = (1..self.surfaces.len()).filter(|&i| is_other(&self.surfaces[i])).collect::<Vec<_>>();
         if others.is_empty() {
             return;
         }
         let level = &self.pyramid.levels()[self.searched];
         if !self.dense.match_pixels(level, disparity_px, &surface_search(&self.config.search), self.kernels) {
+            return;
+        }
+        // Planes that touch one curved surface at several places are no surfaces of their own.
+        let (choice, own) = (self.config.choice, level.level_plane(&first.plane));
+        others.retain(|&i| {
+            let other = level.level_plane(&self.surfaces[i].plane);
+            !self.dense.reaches(level, &own, &other, choice.area_px, &choice)
+        });
+        if others.is_empty() {
             return;
         }
         for i in std::iter::once(0).chain(others) {

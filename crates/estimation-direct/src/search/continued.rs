@@ -40,6 +40,11 @@ pub struct ContinuedSurface {
     pub steps: f64,
 }
 
+/// Factors of a plane's coefficients at a pixel.
+fn row_of(i: usize, width: usize) -> Vector3<f64> {
+    Vector3::new(1.0, (i % width) as f64, (i / width) as f64)
+}
+
 /// Grows surfaces; keeps its buffers.
 #[derive(Clone, Debug, Default)]
 pub struct Continuation {
@@ -59,9 +64,8 @@ impl Continuation {
         plane: &PlaneCoefficients,
         choice: &SurfaceChoice,
     ) -> Option<ContinuedSurface> {
-        let row_of = |i: usize| Vector3::new(1.0, (i % width) as f64, (i / width) as f64);
-        self.distance.clear();
-        self.distance.extend(disparities.enumerate().map(|(i, d)| d - plane.dot(&row_of(i)) as f32));
+        let row_of = |i: usize| row_of(i, width);
+        self.start(disparities, width, plane);
         let clear = self.distance.iter().filter(|distance| distance.is_finite()).count() as f64;
         let near = self.distance.iter().filter(|distance| distance.abs() < NEAR_PX).count() as f64;
         // Few divisions, no growth and no steps for the planes of most regions.
@@ -86,6 +90,35 @@ impl Continuation {
             rms_px: (rest / count).sqrt(),
             steps: self.steps(width) as f64 / clear.sqrt(),
         })
+    }
+
+    /// Whether the surface that continues a plane contains most of the pixels that are within a distance of another plane.
+    pub fn reaches(
+        &mut self,
+        disparities: impl Iterator<Item = f32>,
+        width: usize,
+        [from, to]: [&PlaneCoefficients; 2],
+        near_px: f32,
+        choice: &SurfaceChoice,
+    ) -> bool {
+        self.start(disparities, width, from);
+        self.grow(width, choice.continued_jump_px as f32);
+        let apart = to - from;
+        let (mut near, mut both) = (0, 0);
+        for (i, (distance, reached)) in self.distance.iter().zip(&self.reached).enumerate() {
+            // False without a clear disparity.
+            if (distance - apart.dot(&row_of(i, width)) as f32).abs() < near_px {
+                near += 1;
+                both += usize::from(*reached);
+            }
+        }
+        2 * both > near
+    }
+
+    /// Takes the distances from a plane.
+    fn start(&mut self, disparities: impl Iterator<Item = f32>, width: usize, plane: &PlaneCoefficients) {
+        self.distance.clear();
+        self.distance.extend(disparities.enumerate().map(|(i, d)| d - plane.dot(&row_of(i, width)) as f32));
     }
 
     /// Marks all pixels that are reached from the plane without a jump.
@@ -182,6 +215,20 @@ mod tests {
         });
         let found = found.unwrap();
         assert!(found.share > 0.99 && found.steps > 0.7, "{found:?}");
+    }
+
+    #[test]
+    fn a_curved_surface_reaches_its_other_planes_and_a_step_ends_it() {
+        let plane = Vector3::new(20.0, 0.02, -0.03);
+        let reaches = |off: &dyn Fn(f64) -> f64, to: Vector3<f64>| {
+            let value = |i: usize| (plane.dot(&row_of(i, WIDTH)) + off((i % WIDTH) as f64)) as f32;
+            let all = (0..WIDTH * HEIGHT).map(value);
+            Continuation::default().reaches(all, WIDTH, [&plane, &(plane + to)], 1.0, &SurfaceChoice::default())
+        };
+        // A slope of 0.3 px per pixel beside the plane, and the plane in which it ends.
+        assert!(reaches(&|x| 0.3 * (x - 20.0).clamp(0.0, 20.0), Vector3::new(6.0, 0.0, 0.0)));
+        assert!(!reaches(&|x| if x < 30.0 { 0.0 } else { 6.0 }, Vector3::new(6.0, 0.0, 0.0)));
+        assert!(!reaches(&|_| 0.0, Vector3::new(6.0, 0.0, 0.0)), "no pixel is on the other plane");
     }
 
     #[test]
