@@ -4,7 +4,7 @@
 /// 2500 px 177; time grows with it.
 pub(super) const AREA_MAX_PX: usize = 9000;
 
-/// Larger regions are extended only if nearly all of them supports the plane: otherwise a second surface is near. Chosen with figures: with
+/// Larger regions are extended only if most of their pixels support the plane: otherwise a second surface is near. Chosen with figures: with
 /// the rule for all sizes 393 of 425 windows of 29 to 41 px pass instead of 395; without it two more of 425 windows across depth edges are
 /// wrong and `ok`.
 pub(super) const SMALL_PX: usize = 2500;

@@ -102,7 +102,7 @@ constants! {
     own_share_min = 0.08, tried [0.05, 0.12];
     /// Pixels of a surface have disparities this close to its plane, pixels of the searched level. Chosen with figures: of 425 windows
     /// across depth edges in 17 real scenes 363 pass, without the comparison of areas 356; without weights of places 366 with 1 px, 363 with 1.5 px.
-    area_px = 1.0, tried [0.7, 1.5];
+    on_plane_px = 1.0, tried [0.7, 1.5];
     /// Patches fit a plane closely if they differ from it by clearly less than this, pixels of the level. Chosen by hand, not
     /// varied: with more, a plane across a step of a few pixels is close to both surfaces; with less, noise decides.
     close_px = 0.35, tried [0.25, 0.5];

@@ -32,7 +32,7 @@ impl ColdStart {
         let (choice, own) = (self.config.choice, level.level_plane(&first.plane));
         others.retain(|&i| {
             let other = level.level_plane(&self.surfaces[i].plane);
-            !self.dense.reaches(level, &own, &other, choice.area_px, &choice)
+            !self.dense.reaches(level, &own, &other, choice.on_plane_px, &choice)
         });
         if others.is_empty() {
             return;
@@ -40,7 +40,7 @@ impl ColdStart {
         for i in std::iter::once(0).chain(others) {
             let plane = level.level_plane(&self.surfaces[i].plane);
             self.surfaces[i].area_share =
-                Some(area_share(level, self.dense.disparities(), &plane, self.config.choice.area_px));
+                Some(area_share(level, self.dense.disparities(), &plane, self.config.choice.on_plane_px));
         }
         let area = |i: &usize| self.surfaces[*i].area_share.unwrap_or(0.0);
         let largest = (0..self.surfaces.len()).rev().max_by(|a, b| area(a).total_cmp(&area(b))).unwrap_or(0);
