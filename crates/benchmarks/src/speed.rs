@@ -118,6 +118,7 @@ fn measure(args: &Args) -> anyhow::Result<Findings> {
     let tracking = tracking::tracking(4 * rounds)?;
     eprintln!("kernels");
     let mut kernels = cold::kernels(rounds)?;
+    kernels.insert(1, raw::kernels(rounds)?);
     kernels.push(tracking::kernels(rounds)?);
     eprintln!("scaling");
     let scaling = scaling::scaling(rounds)?;

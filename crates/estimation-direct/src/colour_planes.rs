@@ -37,6 +37,16 @@ impl Wanted {
     pub fn planes(self) -> usize {
         if self == Self::Luminance { 1 } else { 3 }
     }
+
+    /// One of its planes of a colour.
+    #[inline(always)]
+    pub(super) fn channel(self, plane: usize, rgb: [f32; 3]) -> f32 {
+        if self == Self::Rgb {
+            return rgb[plane];
+        }
+        let turn = OPPONENT_FROM_RGB[plane];
+        turn[0] * rgb[0] + turn[1] * rgb[1] + turn[2] * rgb[2]
+    }
 }
 
 /// The channels of one window of one image.

@@ -103,9 +103,11 @@ impl Smoother {
 pub struct PixelRows<'a> {
     /// Columns and rows of the whole image, pixels.
     pub size: (usize, usize),
-    /// Some of its rows; additional columns are ignored.
-    pub rows: &'a ImagePlane,
-    /// Row of the whole image at which `rows` begins.
+    /// Some of its rows.
+    pub values: &'a [f32],
+    /// Values from one row to the next.
+    pub stride: usize,
+    /// Row of the whole image at which the values begin.
     pub first: usize,
     /// First row to compute, and one past the last: only these are written.
     pub wanted: (usize, usize),
@@ -129,7 +131,7 @@ fn smooth_pixels_kernel<const N: usize>(
     mut out: [&mut ImagePlane; N],
     scratch: &mut [f32],
 ) {
-    let (width, stride) = (source.size.0 * N, source.rows.width());
+    let (width, stride) = (source.size.0 * N, source.stride);
     let (padded, mixed) = scratch.split_at_mut(width + 2 * RADIUS_MAX * N);
     let mixed = &mut mixed[..width];
     let (side, last) = (along.radius * N, source.size.1 as isize - 1);
@@ -143,7 +145,7 @@ fn smooth_pixels_kernel<const N: usize>(
             let row = (y as isize + j as isize - across.radius as isize).clamp(0, last) as usize;
             *start = (row - source.first) * stride;
         }
-        filter_groups(source.rows.values(), &starts, across, &mut padded[side..side + width]);
+        filter_groups(source.values, &starts, across, &mut padded[side..side + width]);
         for k in 0..side {
             padded[k] = padded[side + k % N];
             padded[side + width + k] = padded[side + width - N + k % N];
@@ -287,7 +289,8 @@ mod tests {
         });
         let size = (width, height);
         let edge = 1 + across.radius();
-        let source = PixelRows { size, rows: &rows, first: 1, wanted: (edge, height - edge) };
+        let (values, stride) = (rows.values(), rows.width());
+        let source = PixelRows { size, values, stride, first: 1, wanted: (edge, height - edge) };
         let mut first: Option<[ImagePlane; N]> = None;
         for kernels in pb3dp_estimation_test_support::every_kernel() {
             let mut out = std::array::from_fn(|_| ImagePlane::default());

@@ -113,15 +113,20 @@ pub fn kernels(rounds: usize) -> anyhow::Result<Vec<KernelRow>> {
     let benches = Kernels::available().map(|kernels| StageBench::new(problem(&clip, &region), kernels));
     let mut benches = benches.collect::<anyhow::Result<Vec<_>>>()?;
     run_in_turn(&mut benches, rounds)?;
-    let row = |stage: Stage| {
-        let ns = |bench: &StageBench<'_>| {
-            let ms = bench.times(stage).context("no round was counted")?.median_ms;
-            anyhow::Ok(ms * 1e6 / bench.samples(stage)? as f64)
-        };
-        let times = benches.iter().map(ns).collect::<anyhow::Result<Vec<_>>>()?;
-        Ok(kernel_row(stage.name(), stage.unit(), benches.iter().map(StageBench::set).zip(times)))
+    Stage::ALL.into_iter().map(|stage| stage_row(stage.name(), stage, &benches)).collect()
+}
+
+/// A stage with every family of kernels.
+///
+/// # Errors
+/// Without a counted round.
+pub fn stage_row(name: &str, stage: Stage, benches: &[StageBench<'_>]) -> anyhow::Result<KernelRow> {
+    let ns = |bench: &StageBench<'_>| {
+        let ms = bench.times(stage).context("no round was counted")?.median_ms;
+        anyhow::Ok(ms * 1e6 / bench.samples(stage)? as f64)
     };
-    Stage::ALL.into_iter().map(row).collect()
+    let times = benches.iter().map(ns).collect::<anyhow::Result<Vec<_>>>()?;
+    Ok(kernel_row(name, stage.unit(), benches.iter().map(StageBench::set).zip(times)))
 }
 
 /// A row from the times of the families; the scalar family comes first.

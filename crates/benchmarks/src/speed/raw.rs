@@ -12,7 +12,7 @@ use pb3dp_hal_platform::cpu_time::timed;
 use serde_json::{Value, json};
 
 use super::clips::{Clip, Lenses, factor, search_of, wall_through};
-use super::cold::SIZE;
+use super::cold::{KernelRow, SIZE, stage_row};
 use super::stages::{Problem, Stage, StageBench, run_in_turn};
 use super::times::Times;
 
@@ -162,6 +162,20 @@ fn stages(entries: &[Entry], side_px: u32, rounds: usize) -> anyhow::Result<Vec<
     let of =
         |bench: &StageBench<'_>| parts().filter_map(|stage| Some((stage, bench.times(stage)?.median_ms))).collect();
     Ok(benches.iter().map(of).collect())
+}
+
+/// The windows of a raw pair with every available family of kernels.
+///
+/// # Errors
+/// If simulator or estimator rejects the setup.
+pub fn kernels(rounds: usize) -> anyhow::Result<KernelRow> {
+    let (clip, range, region) = (wall_through(Lenses::Brown, SIZE)?, search_of(SIZE), square(SIZE, SIDES_PX[1]));
+    let (left, right) = &clip.pairs[0];
+    let problem = Problem { rig: &clip.rig, left, right, region: &region, range: &range, rows: RowOffset::default() };
+    let benches = Kernels::available().map(|kernels| StageBench::new(problem, kernels));
+    let mut benches = benches.collect::<anyhow::Result<Vec<_>>>()?;
+    run_in_turn(&mut benches, rounds)?;
+    stage_row("windows of raw images", Stage::Windows, &benches)
 }
 
 /// A square of the same size at every image size, in the same direction.

@@ -303,23 +303,31 @@ impl Preparation {
         let (kernels, top, rows) = (job.front_end.kernels(), job.read.0, job.rows());
         match source {
             Source::Resampled(Resampled { planes, first, size }) => {
+                let is_as_wanted = job.grid.scale == 1 && job.grid.rows.is_none() && *size == job.grid.size;
+                let stride = planes.window.width;
                 for c in 0..channels {
-                    let values = &planes.planes[c].values()[first.1 * planes.window.width..];
-                    let source = ImageRows { values, stride: planes.window.width, start: first.0, top, rows: size.1 };
-                    average_values(kernels, &source, &job.grid, &mut self.means);
-                    self.smooth(job, c, &mut out.planes[c..=c]);
+                    let values = &planes.planes[c].values()[first.1 * stride..];
+                    let mut pixels = (&values[first.0..], stride);
+                    if !is_as_wanted {
+                        let source = ImageRows { values, stride, start: first.0, top, rows: size.1 };
+                        average_values(kernels, &source, &job.grid, &mut self.means);
+                        pixels = (self.means.values(), self.means.width());
+                    }
+                    smooth(&mut self.smoother, job, pixels, &self.middle[c..], &mut out.planes[c..=c]);
                 }
             }
             Source::Unchanged(rgb) if channels == 1 => {
                 self.take_grey(job, rgb);
                 let source = ImageRows { values: self.grey.as_slice(), stride: job.width(), start: 0, top, rows };
                 average_bytes(kernels, &source, &job.grid, &mut self.means);
-                self.smooth(job, 0, &mut out.planes[..1]);
+                let means = (self.means.values(), self.means.width());
+                smooth(&mut self.smoother, job, means, &self.middle, &mut out.planes[..1]);
             }
             Source::Unchanged(rgb) => {
                 let source = ImageRows { values: rgb.bytes(), stride: rgb.stride(), start: 0, top, rows };
                 average_colours(kernels, &source, &job.grid, &mut self.means);
-                self.smooth(job, 0, &mut out.planes);
+                let means = (self.means.values(), self.means.width());
+                smooth(&mut self.smoother, job, means, &self.middle, &mut out.planes);
             }
         }
         if self.find_unusable(job, source, channels) {
@@ -327,19 +335,6 @@ impl Preparation {
                 mark_unusable(unusable, &mut self.unusable_row, job.request.rows.0..job.request.rows.1, plane, kernels);
             }
         }
-    }
-
-    /// Smooths the means into the channels from `c` on.
-    fn smooth(&mut self, job: &Job<'_>, c: usize, out: &mut [ImagePlane]) {
-        let part = &job.request.part;
-        let source = PixelRows {
-            size: (part.width, part.height),
-            rows: &self.means,
-            first: job.first_row,
-            wanted: job.request.rows,
-        };
-        let [along, across] = &job.smoothing;
-        self.smoother.smooth_pixels(&source, along, across, &self.middle[c..], out, job.front_end.kernels());
     }
 
     /// Copies the first channel of the required part.
@@ -401,6 +396,20 @@ impl Preparation {
         }
         true
     }
+}
+
+/// Smooths the pixels of a job, given as values and their number per row.
+fn smooth(
+    smoother: &mut Smoother,
+    job: &Job<'_>,
+    (values, stride): (&[f32], usize),
+    middle: &[f32],
+    out: &mut [ImagePlane],
+) {
+    let (part, [along, across]) = (&job.request.part, &job.smoothing);
+    let size = (part.width, part.height);
+    let source = PixelRows { size, values, stride, first: job.first_row, wanted: job.request.rows };
+    smoother.smooth_pixels(&source, along, across, middle, out, job.front_end.kernels());
 }
 
 /// Marks the unusable pixels of a part of a resampled row, square by square.

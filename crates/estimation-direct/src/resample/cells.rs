@@ -1,5 +1,6 @@
 //! Positions of rectified pixels in the raw image, cell by cell.
 
+use std::hint::black_box;
 use std::ops::Range;
 
 use nalgebra::Vector2;
@@ -40,6 +41,16 @@ const WEIGHTS: [[f32; CELL]; 4] = {
     }
     weights
 };
+/// The same weights, row by row.
+const WEIGHTS_OF_ROWS: [[f32; 4]; CELL] = {
+    let mut weights = [[0.0; 4]; CELL];
+    let mut i = 0;
+    while i < 4 * CELL {
+        weights[i / 4][i % 4] = WEIGHTS[i % 4][i / 4];
+        i += 1;
+    }
+    weights
+};
 /// The same weights at the centre of a cell.
 const CENTRE_WEIGHTS: [f64; 4] = [-1.0 / 16.0, 9.0 / 16.0, 9.0 / 16.0, -1.0 / 16.0];
 
@@ -63,8 +74,7 @@ impl CellPositions {
         [0, 1].map(|axis| (round(axis, ends[axis].0), round(axis, ends[axis].1)))
     }
 
-    /// The columns and rows of a source of this size that the cubic kernel reads at all positions, and one more: a register of taps holds
-    /// more than four pixels.
+    /// The columns and rows of a source of this size that the cubic kernel reads at all positions.
     pub fn taps_box(&self, size: [u32; 2]) -> [Range<usize>; 2] {
         [0, 1].map(|axis| {
             // Pixels without a source are negative.
@@ -75,7 +85,7 @@ impl CellPositions {
                 whole.saturating_add(at as i64).clamp(0, i64::from(size[axis])) as usize
             };
             let first = pixel(low, -1);
-            first..pixel(high, 4).max(first)
+            first..pixel(high, 3).max(first)
         })
     }
 
@@ -102,16 +112,23 @@ pub(super) fn extremes_kernel(at: &[[[f32; CELL]; CELL]; 2], out: &mut [(f32, f3
                 high[i] = if row[i] > high[i] { row[i] } else { high[i] };
             }
         }
-        let mut half = CELL / 2;
-        while half > 0 {
-            for i in 0..half {
-                low[i] = if low[i + half] < low[i] { low[i + half] } else { low[i] };
-                high[i] = if high[i + half] > high[i] { high[i + half] } else { high[i] };
-            }
-            half /= 2;
-        }
-        *out = (low[0], high[0]);
+        *out = (ends(&low).0, ends(&high).1);
     }
+}
+
+/// Lowest and highest of the values.
+#[inline(always)]
+pub(super) fn ends(values: &[f32; CELL]) -> (f32, f32) {
+    let (mut low, mut high) = (*values, *values);
+    let mut half = CELL / 2;
+    while half > 0 {
+        for i in 0..half {
+            low[i] = if low[i + half] < low[i] { low[i + half] } else { low[i] };
+            high[i] = if high[i + half] > high[i] { high[i + half] } else { high[i] };
+        }
+        half /= 2;
+    }
+    (low[0], high[0])
 }
 
 wide! {
@@ -163,8 +180,10 @@ pub fn for_each_cell(
         for row in 0..cells.1 {
             corners_of(row as i64 + 2, &mut rows[(row + 3) % 4]);
             for column in 0..count {
-                let corners: [[Corner; 4]; 4] =
-                    std::array::from_fn(|j| std::array::from_fn(|i| rows[(row + j) % 4][column + i]));
+                let mut corners = [[UNKNOWN; 4]; 4];
+                for (j, corners) in corners.iter_mut().enumerate() {
+                    corners.copy_from_slice(&rows[(row + j) % 4][column..column + 4]);
+                }
                 let origin = at((stripe + column) as i64, row as i64);
                 let is_seen = fill(map, &corners, &origin, kernels, &mut positions);
                 visit(((stripe + column) * CELL, row * CELL), is_seen.then_some(&positions));
@@ -194,15 +213,9 @@ fn fill(
         }
         let true_centre = map.source(&origin.add_scalar(CELL as f64 / 2.0));
         if true_centre.is_some_and(|px| (px - centre).amax() <= DEVIATION_MAX_PX) {
-            let low = corners.as_flattened().iter().fold(corners[0][0], |low, px| low.inf(px));
-            let high = corners.as_flattened().iter().fold(corners[0][0], |high, px| high.sup(px));
-            // Interpolated positions are at least this, as the negative weights of a cell sum to more than -0.3.
-            let low = low - 0.3 * (high - low);
-            out.base = [low.x, low.y].map(|low| low.floor() as i32 - 1);
-            let local = |axis: usize, j: usize, i: usize| (corners[j][i][axis] - f64::from(out.base[axis])) as f32;
-            let local: [[[f32; 4]; 4]; 2] =
-                std::array::from_fn(|axis| std::array::from_fn(|j| std::array::from_fn(|i| local(axis, j, i))));
-            interpolate(kernels, &local, &mut out.at);
+            for axis in 0..2 {
+                out.base[axis] = interpolate_axis(corners, axis, kernels, &mut out.at[axis]);
+            }
             return true;
         }
     }
@@ -216,25 +229,47 @@ fn fill(
     true
 }
 
+/// Fills the positions along one axis, and returns what they are relative to.
+fn interpolate_axis(corners: &[[Corner; 4]; 4], axis: usize, kernels: Kernels, out: &mut [[f32; CELL]; CELL]) -> i32 {
+    let mut values = [0.0; 16];
+    for (value, corner) in values.iter_mut().zip(corners.as_flattened()) {
+        *value = corner[axis];
+    }
+    let (mut low, mut high) = (values[0], values[0]);
+    for value in values {
+        (low, high) = (low.min(value), high.max(value));
+    }
+    // Interpolated positions are at least this, as the negative weights of a cell sum to more than -0.3.
+    let base = (low - 0.3 * (high - low)).floor() - 1.0;
+    let mut local = [[0.0_f32; 4]; 4];
+    for (local, value) in local.as_flattened_mut().iter_mut().zip(values) {
+        *local = (value - base) as f32;
+    }
+    interpolate(kernels, &local, out);
+    base as i32
+}
+
 wide! {
     /// Positions of all pixels of a cell from those of 4 x 4 corners.
-    fn interpolate(corners: &[[[f32; 4]; 4]; 2], out: &mut [[[f32; CELL]; CELL]; 2]) = interpolate_kernel;
+    fn interpolate(corners: &[[f32; 4]; 4], out: &mut [[f32; CELL]]) = interpolate_kernel;
 }
 
 #[inline(always)]
-fn interpolate_kernel(corners: &[[[f32; 4]; 4]; 2], out: &mut [[[f32; CELL]; CELL]; 2]) {
-    for (corners, out) in corners.iter().zip(out) {
-        for (y, out) in out.iter_mut().enumerate() {
-            let mut row = [0.0_f32; 4];
-            for (j, corners) in corners.iter().enumerate() {
-                for i in 0..4 {
-                    row[i] += WEIGHTS[j][y] * corners[i];
-                }
-            }
-            for i in 0..CELL {
-                let first = WEIGHTS[0][i] * row[0] + WEIGHTS[1][i] * row[1];
-                out[i] = first + (WEIGHTS[2][i] * row[2] + WEIGHTS[3][i] * row[3]);
-            }
+fn interpolate_kernel(corners: &[[f32; 4]; 4], out: &mut [[f32; CELL]]) {
+    let mut rows = [[0.0; CELL]; 4];
+    // All rows of a column in one loop: of several short loops the compiler makes a shuffle of single values.
+    for i in 0..CELL {
+        for j in 0..4 {
+            let first = WEIGHTS[0][i] * corners[j][0] + WEIGHTS[1][i] * corners[j][1];
+            rows[j][i] = first + (WEIGHTS[2][i] * corners[j][2] + WEIGHTS[3][i] * corners[j][3]);
+        }
+    }
+    for (y, out) in out.iter_mut().enumerate() {
+        // Row by row: otherwise the compiler fills columns, and scatters their values.
+        let weights = WEIGHTS_OF_ROWS[black_box(y) % CELL];
+        for i in 0..CELL {
+            let first = weights[0] * rows[0][i] + weights[1] * rows[1][i];
+            out[i] = first + (weights[2] * rows[2][i] + weights[3] * rows[3][i]);
         }
     }
 }

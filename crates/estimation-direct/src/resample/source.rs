@@ -8,10 +8,8 @@ use pb3dp_geometry::maps::PixelMap;
 
 use super::super::colour_planes::SATURATED_FROM;
 use super::super::image_plane::PixelWindow;
-use super::cells::{CellPositions, POSITION_MAX_PX};
-
-/// Values per pixel and row of the kernel: four pixels of three channels, and four unused ones to fill a register.
-pub const TAPS: usize = 16;
+use super::cells::{CELL, CellPositions, POSITION_MAX_PX, whole};
+use super::patch::PATCH;
 
 /// A value of an image.
 pub trait Value: Copy + Default + Ord {
@@ -78,22 +76,40 @@ impl<'a> RawImage<'a, u8> {
         let [columns, rows] = positions.taps_box([image.width(), image.height()]);
         let size = (columns.len(), rows.len());
         let first = [columns.start as i32, rows.start as i32];
-        let has_last_pixel = columns.end == image.width() as usize && rows.end == image.height() as usize;
         image.rgb(columns, rows, buffer);
-        // Room for the taps of the last pixels. The last corner of the image has none.
-        buffer.resize(buffer.len() + if has_last_pixel { 0 } else { TAPS }, 0);
+        // Room behind the last row, which is read to the full width of a patch.
+        buffer.resize(buffer.len() + 3 * PATCH, 0);
         Self { values: buffer, stride: 3 * size.0, width: size.0, height: size.1, first, share: 1.0 }
     }
 }
 
 impl<'a, T: Value> RawImage<'a, T> {
-    /// The neighbourhood of a pixel, which must be inside the part: four rows.
+    /// Column and row of pixel `i` of row `y` of a cell, and the rest of its position.
     #[inline(always)]
-    pub(super) fn taps(&self, column: i32, row: i32) -> Option<[&'a [T; TAPS]; 4]> {
-        let stride = self.stride;
-        let start = (row as usize - 1) * stride + 3 * (column as usize - 1);
-        let values = self.values.get(start..start + 3 * stride + TAPS)?;
-        let row = |j: usize| values.get(j * stride..)?.first_chunk();
+    pub(super) fn split(&self, positions: &CellPositions, y: usize, i: usize) -> [(i32, f32); 2] {
+        [0, 1].map(|axis| {
+            let at = positions.at[axis][y][i];
+            let (number, floor) = whole(positions.base[axis] - self.first[axis], at);
+            (number, at - floor)
+        })
+    }
+
+    /// A pixel, if it is inside the part.
+    #[inline(always)]
+    pub(super) fn pixel(&self, column: i64, row: i64) -> Option<[T; 3]> {
+        let is_inside = (0..self.width as i64).contains(&column) && (0..self.height as i64).contains(&row);
+        let start = is_inside.then(|| row as usize * self.stride + 3 * column as usize)?;
+        self.values.get(start..)?.first_chunk().copied()
+    }
+
+    /// The 4 x 4 neighbours of a pixel, if they are inside the part.
+    #[inline(always)]
+    pub(super) fn taps(&self, column: i32, row: i32) -> Option<[&'a [T; 12]; 4]> {
+        if column < 1 || row < 1 || column > self.width as i32 - 3 || row > self.height as i32 - 3 {
+            return None;
+        }
+        let start = (row as usize - 1) * self.stride + 3 * (column as usize - 1);
+        let row = |j: usize| self.values.get(start + j * self.stride..)?.first_chunk();
         Some([row(0)?, row(1)?, row(2)?, row(3)?])
     }
 }
@@ -116,8 +132,8 @@ impl ReducedImage {
     pub fn update(&mut self, map: &PixelMap, raw: ImageView<'_>, window: &PixelWindow, scale: usize, kernels: Kernels) {
         let part = source_box(map, window);
         (self.size, self.first, self.scale) = ((part.width, part.height), [part.x, part.y], scale);
-        // Room for the taps of the last pixels.
-        self.values.resize(3 * part.width * part.height + TAPS, 0);
+        // Room behind the last row, which is read to the full width of a patch.
+        self.values.resize(3 * part.width * part.height + 3 * PATCH, 0);
         self.columns.resize(3 * part.width * scale + 3 * REDUCTION_MAX + LANES, 0);
         let first = part.x as usize * scale;
         let columns = first..first + part.width * scale;
@@ -136,18 +152,20 @@ impl ReducedImage {
 }
 
 /// Distance of the mapped points on the border of a window, pixels. Chosen by hand, not varied.
-const BORDER_STEP: usize = 16;
+const BORDER_STEP: usize = CELL;
 /// Margin around the mapped border, pixels: bending between its points, and the kernel. Chosen by hand, not varied.
 const BORDER_MARGIN: f64 = 8.0;
 
-/// The part of the source that the pixels of a window show: all of it if a part of the window's border has no source.
+/// The part of the source that the cells of a window show: all of it if a part of their border has no source.
 fn source_box(map: &PixelMap, window: &PixelWindow) -> PixelWindow {
     let size = map.source_size();
     let whole = PixelWindow { x: 0, y: 0, width: size.width as usize, height: size.height as usize };
     let (mut low, mut high) = (Vector2::repeat(f64::MAX), Vector2::repeat(f64::MIN));
-    let along = |length: usize| (0..length).step_by(BORDER_STEP).chain([length]);
-    let rows = along(window.width).flat_map(|x| [(x, 0), (x, window.height)]);
-    let columns = along(window.height).flat_map(|y| [(0, y), (window.width, y)]);
+    let along = |length: usize| (0..=length).step_by(BORDER_STEP);
+    // Cells at the border reach beyond the window.
+    let [width, height] = [window.width, window.height].map(|length| length.next_multiple_of(CELL));
+    let rows = along(width).flat_map(|x| [(x, 0), (x, height)]);
+    let columns = along(height).flat_map(|y| [(0, y), (width, y)]);
     for (x, y) in rows.chain(columns) {
         let pixel = Vector2::new(f64::from(window.x) + x as f64, f64::from(window.y) + y as f64);
         let Some(source) = map.source(&pixel).filter(|px| px.amax() < POSITION_MAX_PX) else { return whole };

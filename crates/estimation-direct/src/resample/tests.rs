@@ -36,6 +36,8 @@ fn maps() -> Vec<(&'static str, PixelMap)> {
         ("fisheye to the edge of the field", map(fisheye, 95.0, [0.5, -0.4, 0.1])),
         ("folding lens", map(folding, 300.0, [0.1, -0.1, 0.02])),
         ("vertical baseline", map(brown, 340.0, [0.01, 0.02, quarter])),
+        ("upside down", map(brown, 340.0, [0.01, 0.02, 2.0 * quarter])),
+        ("diagonal baseline", map(brown, 340.0, [0.01, -0.02, 0.6])),
         ("very short focal length", map(fisheye, 12.0, [0.1, 0.0, 0.3])),
         ("nothing in view", map(brown, 340.0, [3.0, 0.0, 0.0])),
     ]
