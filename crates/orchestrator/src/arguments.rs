@@ -140,6 +140,8 @@ const ESTIMATE_JSON: &str = "Lines of --json (one per case):
 /// Arguments of `pb3dp estimate`.
 #[derive(Debug, Args)]
 #[command(after_long_help = ESTIMATE_JSON, group = ArgGroup::new("images").required(true).args(["cases", "left", "sequence"]))]
+#[command(group = ArgGroup::new("of_recordings").multiple(true).args(["frame", "topics", "pair_within", "layout"]).conflicts_with_all(["cases", "left"]))]
+#[command(group = ArgGroup::new("of_deep_images").args(["range"]).conflicts_with("cases"))]
 pub struct EstimateArgs {
     /// Every case folder (one with a case.json) under DIR; the format is described in docs/dataset-format.md.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["right", "calib", "region"])]
@@ -161,7 +163,7 @@ pub struct EstimateArgs {
     #[arg(long, value_name = "PATH")]
     pub sequence: Option<PathBuf>,
     /// The pair of the recording, from 0.
-    #[arg(long, value_name = "N", default_value_t = 0, requires = "sequence")]
+    #[arg(long, value_name = "N", default_value_t = 0)]
     pub frame: u64,
     /// What a recording does not state itself.
     #[command(flatten)]

@@ -49,6 +49,23 @@ impl Pair {
 const REGION: &str = "rect:340,110,140,190";
 
 #[test]
+fn options_of_recordings_are_refused_for_two_images_and_for_cases() {
+    let pair = Pair::new();
+    let files = pair.words(&pair.file("left.png"), &pair.file("right.png"), &pair.file("calib.json"), REGION);
+    let cases = words(&[&"estimate", &"--cases", &pair.dir.path()]);
+    for option in [["--frame", "0"], ["--topics", "/l,/r"], ["--pair-within", "4"], ["--layout", "side-by-side"]] {
+        for (args, instead) in [(&files, "--left"), (&cases, "--cases")] {
+            pb3dp(&[&args[..], &option.map(OsString::from)].concat()).assert_refused(&[
+                option[0],
+                instead,
+                "cannot be used with",
+            ]);
+        }
+    }
+    pb3dp(&[cases, words(&[&"--range", &"0,4095"])].concat()).assert_refused(&["--range", "--cases"]);
+}
+
+#[test]
 fn missing_and_damaged_files_are_named() {
     let pair = Pair::new();
     pair.estimate(REGION).assert_success();
