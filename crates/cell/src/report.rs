@@ -505,7 +505,7 @@ pub fn text_table(summary: &RunSummary) -> String {
     }
     let _ = writeln!(text, "{}", lock_note(summary));
     text += &cycles::text_table(&summary.cycles);
-    if !summary.rotation_about_normal_observed {
+    if summary.lock.is_some() && !summary.rotation_about_normal_observed {
         text += "this method does not observe rz, the rotation about the normal: rz is held\n";
     }
     text

@@ -21,6 +21,7 @@ pub const UNSURE: u8 = 3;
 
 /// Arguments of `pb3dp run`.
 #[derive(Debug, Args)]
+#[command(group = ArgGroup::new("of_the_panel").multiple(true).args(["token", "certificate", "key", "hosts"]).requires("panel"))]
 pub struct RunArgs {
     /// The setup.
     #[command(flatten)]
@@ -130,6 +131,7 @@ const ESTIMATE_JSON: &str = "Lines of --json (one per case):
   point_mm          3 numbers or null: where the plane meets the ray of centroid_px, in the left camera
   cam_left_from_model  16 numbers, row by row, or null: the frame of the model on the plane
   covariance        36 numbers, row by row, or null: of that frame, as in pb3dp track
+  calibration_covariance  the share of the calibration in it, if the calibration file states a covariance
   observed          six booleans or null: whether x, y, z and the turns about them are determined
                     (the region itself fixes x, y and the turn about z)
   row_offset_px     row of the right image minus row of the left one (rectified), as measured, or null
@@ -153,7 +155,8 @@ pub struct EstimateArgs {
     #[arg(long, value_name = "FILE", requires = "left")]
     pub right: Option<PathBuf>,
     /// Calibration: the file that `pb3dp calibrate` writes, calib.json, a Kalibr camchain, an OpenCV stereo YAML or its two files
-    /// `intrinsics.yml,extrinsics.yml`, or two ROS camera_info files `left.yaml,right.yaml`; or a folder that contains them.
+    /// `intrinsics.yml,extrinsics.yml`, or two ROS camera_info files `left.yaml,right.yaml`; or a folder that contains `calib.json`,
+    /// `calibration.toml` or one of these pairs.
     #[arg(long, value_name = "FILE[,FILE]", value_delimiter = ',')]
     pub calib: Vec<PathBuf>,
     /// The object in the left image.
@@ -185,12 +188,15 @@ pub struct EstimateArgs {
 const TRACK_JSON: &str =
     "Lines of --json (one per frame; one per frame and target, with the key `target`, if there are several):
   frame                counts from 0
-  target               only with --region: 0 is the target of the sequence, then those of --region in their order
+  target               only if there are several: 0 is the target of the sequence, then those of --region in their order
   t_s                  mid-exposure, seconds
   status               ok, weak-tilt, partly-observed, ambiguous, not-observable, lost or error
   cam_left_from_model  16 numbers, row by row, millimetres: maps the model's coordinates to the left camera's
   covariance           36 numbers, row by row, or null: of xi = (x, y, z in mm, then a rotation vector in radians), both
-                       along the axes of the model, with true pose = cam_left_from_model * exp(xi)
+                       along the axes of the model, with true pose = cam_left_from_model * exp(xi);
+                       on a target that is not flat, only that of the first frame says how well the plane was
+                       determined on which the model is placed
+  calibration_covariance, calibration_covariance_of_motion  the share of the calibration, if its file states it
   observed             six booleans, whether the images determine x, y, z and the turns about them, or null
   fitness              how well the images agree, at most 1, or null
   ms                   CPU time of one thread from the images in memory to the pose, milliseconds

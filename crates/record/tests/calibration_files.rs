@@ -159,6 +159,13 @@ fn other_spellings_of_opencv_files_are_read() {
     let extrinsics =
         format!("%YAML:1.0\n---\n{}", text[cut..].replace("-98.5, 1.25, 2.75", "-0.0985, 0.00125, 0.00275"));
     let calibration = load_texts(&[("intrinsics.yml", &text[..cut]), ("extrinsics.yml", &extrinsics)]).unwrap();
+    let directory = tempfile::tempdir().unwrap();
+    fs::write(directory.path().join("intrinsics.yml"), &text[..cut]).unwrap();
+    fs::write(directory.path().join("extrinsics.yml"), &extrinsics).unwrap();
+    let folder = [directory.path().to_path_buf()];
+    assert_eq!(load_stereo(&folder).unwrap().rig, calibration.rig);
+    save_judged(&rig([FIVE, EIGHT]), &judgement(), &directory.path().join("calibration.toml")).unwrap();
+    assert_eq!(load_stereo(&folder).unwrap().format, CalibrationFormat::Judged);
     assert!(difference(&calibration.rig, &rig([FIVE, EIGHT])) < 1e-14);
     assert!(calibration.notes[0].contains("metres are assumed"));
 }

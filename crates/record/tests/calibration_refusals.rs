@@ -190,7 +190,7 @@ fn files_that_are_no_calibrations() {
     assert_eq!(missing.to_string(), said);
     let empty = tempfile::tempdir().unwrap();
     let error = load_stereo(&[empty.path().to_path_buf()]).unwrap_err().to_string();
-    let expected = "contains neither left.yaml and right.yaml nor calib.json; give the calibration file itself";
+    let expected = "contains no left.yaml and right.yaml, calib.json, calibration.toml, or intrinsics.yml and extrinsics.yml; give the calibration file itself";
     assert!(error.ends_with(expected), "{error}");
     fs::copy(data("ros_pair/left.yaml"), empty.path().join("left.yaml")).unwrap();
     let error = load_stereo(&[empty.path().to_path_buf()]).unwrap_err().to_string();

@@ -197,7 +197,7 @@ mod tests {
         assert!(found[0].values.contains(&("sim", "400.0".to_owned())), "{found:?}");
         assert!(found[0].values.contains(&("rig", "100.0".to_owned())), "{found:?}");
         let target = &explain("scene.target").unwrap()[0];
-        assert!(target.about.contains("too round"), "{target:?}");
+        assert!(target.about.contains("rejects it"), "{target:?}");
         assert!(target.allowed.as_ref().unwrap().contains("potato"), "{target:?}");
         let start = &explain("arms.left_arm.start_deg").unwrap()[0];
         assert!(start.values.len() > 1, "{start:?}");
@@ -215,7 +215,7 @@ mod tests {
         let seeds = explain("seed").unwrap();
         assert!(seeds.iter().any(|found| found.key == "run.seed"), "{seeds:?}");
         assert!(seeds.iter().all(|found| found.key.contains("seed")), "{seeds:?}");
-        let round = explain("too round").unwrap();
+        let round = explain("millimetres off").unwrap();
         assert!(round.iter().any(|found| found.key == "scene.target"), "{round:?}");
         assert_eq!(explain("nothing has this").unwrap_err(), Vec::<String>::new());
     }

@@ -9,21 +9,23 @@ use pb3dp_bag::pairs::PAIR_WITHIN;
 use pb3dp_camera_settings::ImageLayout;
 use pb3dp_record::value_range::ValueRange;
 
+/// Heading of these options in `--help`.
+const HEADING: &str = "Recordings from elsewhere";
+
 /// What a recording does not state itself.
 #[derive(Clone, Debug, Args)]
-#[command(next_help_heading = "Recordings from elsewhere")]
 pub struct RecordingOptions {
     /// Topics of the left and the right images in an MCAP file; by default two that differ only in left and right.
-    #[arg(long, value_name = "LEFT,RIGHT")]
+    #[arg(long, value_name = "LEFT,RIGHT", help_heading = HEADING)]
     pub topics: Option<Topics>,
     /// Longest time between the images of a pair in MCAP and EuRoC recordings, milliseconds.
-    #[arg(long, value_name = "MS", value_parser = parse_pair_within, default_value = "3")]
+    #[arg(long, value_name = "MS", value_parser = parse_pair_within, default_value = "3", help_heading = HEADING)]
     pub pair_within: Duration,
     /// Values that become black and white in images with more than 8 bits, such as 0,4095; measured on the first pair by default.
-    #[arg(long, value_name = "LOW,HIGH")]
+    #[arg(long, value_name = "LOW,HIGH", help_heading = HEADING)]
     pub range: Option<ValueRange>,
     /// Arrangement of both views in each image of a folder.
-    #[arg(long, value_parser = PossibleValuesParser::new(ImageLayout::ALL.map(ImageLayout::name)).try_map(|name| name.parse::<ImageLayout>()))]
+    #[arg(long, help_heading = HEADING, value_parser = PossibleValuesParser::new(ImageLayout::ALL.map(ImageLayout::name)).try_map(|name| name.parse::<ImageLayout>()))]
     pub layout: Option<ImageLayout>,
 }
 

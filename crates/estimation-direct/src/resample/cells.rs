@@ -14,6 +14,9 @@ use super::super::image_plane::PixelWindow;
 /// interpolation is off by less than 1e-4 px for lenses with a focal length of 300 px and more (fourth derivatives of the
 /// distortion, derived).
 pub const CELL: usize = 16;
+/// Largest part of the source that a cell may show, pixels. Chosen by hand, not varied: two registers; a cell fits whose 16
+/// pixels are less than 1.7 times as far apart in the source.
+pub(super) const PATCH: usize = 32;
 /// Cells per stripe: the corners of a stripe are on the stack. Chosen by hand, not varied: the corners left and right of a
 /// stripe are evaluated twice.
 const STRIPE: usize = 64;

@@ -2,12 +2,9 @@
 
 use super::super::colour_planes::{OPPONENT_FROM_RGB, Wanted};
 use super::super::row_shift::keys;
-use super::cells::{CELL, CellPositions, ends, extremes_kernel, whole};
+use super::cells::{CELL, CellPositions, PATCH, ends, extremes_kernel, whole};
 use super::source::{RawImage, Value};
 
-/// Largest part of the source that a cell may show, pixels. Chosen by hand, not varied: two registers; a cell fits whose 16
-/// pixels are less than 1.7 times as far apart in the source.
-pub(super) const PATCH: usize = 32;
 /// Most columns or rows by which the distance between source and destination may change along one row of a cell, pixels.
 /// Chosen by hand, not varied: a rotation by 12 degrees, or a change of scale by a fifth.
 pub(super) const SPREAD_MAX: usize = 4;

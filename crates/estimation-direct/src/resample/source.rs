@@ -8,8 +8,7 @@ use pb3dp_geometry::maps::PixelMap;
 
 use super::super::colour_planes::SATURATED_FROM;
 use super::super::image_plane::PixelWindow;
-use super::cells::{CELL, CellPositions, POSITION_MAX_PX, whole};
-use super::patch::PATCH;
+use super::cells::{CELL, CellPositions, PATCH, POSITION_MAX_PX, whole};
 
 /// A value of an image.
 pub trait Value: Copy + Default + Ord {

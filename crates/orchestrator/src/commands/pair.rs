@@ -9,7 +9,8 @@ use pb3dp_estimation::pair_check::PairCheck;
 /// Left and right are exchanged.
 pub fn usable(name: &str, check: &PairCheck) -> Result<Option<String>> {
     tracing::debug!("{name}: {check:?}");
-    let doubt = check.accepted().context("swap --left and --right (in a dataset: its files)")?;
+    let doubt =
+        check.accepted().context("swap the images: --left and --right, or the files or folders of the recording")?;
     if let Some(doubt) = &doubt {
         tracing::warn!("{name}: {doubt}");
     }

@@ -446,7 +446,7 @@ fn swapped_real_images_are_refused_with_what_to_do() {
         &"--region",
         &"rect:340,110,140,190",
     ]));
-    finished.assert_refused(&["left and right look exchanged", "swap --left and --right"]);
+    finished.assert_refused(&["left and right look exchanged", "swap the images: --left and --right"]);
 }
 
 #[test]

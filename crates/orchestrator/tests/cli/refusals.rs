@@ -66,6 +66,12 @@ fn options_of_recordings_are_refused_for_two_images_and_for_cases() {
 }
 
 #[test]
+fn an_access_without_a_panel_is_refused() {
+    let run = words(&[&"run", &"--config", &"sim", &"--panel-token", &"absent"]);
+    pb3dp(&run).assert_refused(&["--panel", "required"]);
+}
+
+#[test]
 fn missing_and_damaged_files_are_named() {
     let pair = Pair::new();
     pair.estimate(REGION).assert_success();

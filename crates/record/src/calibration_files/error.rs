@@ -65,7 +65,7 @@ pub enum CalibrationFileError {
     },
     /// A directory without a calibration.
     #[error(
-        "{}: contains neither left.yaml and right.yaml nor calib.json; give the calibration file itself",
+        "{}: contains no left.yaml and right.yaml, calib.json, calibration.toml, or intrinsics.yml and extrinsics.yml; give the calibration file itself",
         directory.display()
     )]
     Directory {

@@ -96,10 +96,17 @@ impl fmt::Display for CalibrationFormat {
 }
 
 /// File names searched in a directory, in this order.
-const IN_DIRECTORY: [&[&str]; 3] = [&["left.yaml", "right.yaml"], &["left.yml", "right.yml"], &["calib.json"]];
+const IN_DIRECTORY: [&[&str]; 6] = [
+    &["left.yaml", "right.yaml"],
+    &["left.yml", "right.yml"],
+    &["calib.json"],
+    &["calibration.toml"],
+    &["intrinsics.yml", "extrinsics.yml"],
+    &["intrinsics.yaml", "extrinsics.yaml"],
+];
 
-/// Reads a stereo calibration: one file, a left and a right file, or a directory with `left.yaml` and `right.yaml` (or `.yml`) or
-/// `calib.json` in it.
+/// Reads a stereo calibration: one file, a left and a right file, or a directory with `left.yaml` and `right.yaml`, `calib.json`,
+/// `calibration.toml`, or `intrinsics.yml` and `extrinsics.yml` in it (`.yml` or `.yaml`).
 ///
 /// # Errors
 /// An invalid file; see [`CalibrationFileError`].

@@ -257,7 +257,7 @@ fn tell(name: &str, estimate: &PlaneEstimate) {
     if let Some(SecondPlane { pose, share }) = &estimate.second_plane {
         let [x, y, z]: [f64; 3] = pose.normal_in_cam_left.into();
         tracing::info!(
-            "{name}: {:.0} % of the region lie on another surface: z {:.2} mm, normal {x:+.3} {y:+.3} {z:+.3}",
+            "{name}: {:.0} % of the region lies on another surface: z {:.2} mm, normal {x:+.3} {y:+.3} {z:+.3}",
             100.0 * share,
             1e3 * pose.z_m
         );
