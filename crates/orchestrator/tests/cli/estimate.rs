@@ -341,7 +341,7 @@ fn the_second_surface_of_a_region_is_told_with_its_share() {
     let right_edge = pair.outline_px.iter().map(|[u, _]| *u).fold(f64::MIN, f64::max);
     let region = format!("rect:{:.0},{:.0},100,70", right_edge - 70.0, pair.centre_px()[1] - 35.0);
     let finished = pair.estimate("direct", &pair.file("calib.json"), &region).assert_success();
-    let told = finished.stderr.lines().find(|line| line.contains("lie on another surface"));
+    let told = finished.stderr.lines().find(|line| line.contains("lies on another surface"));
     let told = told.unwrap_or_else(|| panic!("no second surface in:\n{}", finished.stderr));
     assert!(told.contains("% of the region") && told.contains("normal"), "{told}");
     let line = &finished.json_lines(&ESTIMATE_KEYS)[0];

@@ -17,7 +17,7 @@ pub enum Hardness {
     Small,
     /// Weak texture.
     LowTexture,
-    /// 15 to 35 % of the region lie on another surface.
+    /// 15 to 35 % of the region lies on another surface.
     Occluded,
 }
 
