@@ -4,7 +4,7 @@
 use image::{Rgb, RgbImage};
 use nalgebra::{Isometry3, Point3, Vector2};
 use pb3dp_geometry::frames::{CamLeft, Target};
-use pb3dp_geometry::{Camera, Pose, StereoRig};
+use pb3dp_geometry::{Camera, Distortion, Pose, StereoRig};
 
 use crate::moving_plane::{RADIUS_M, SIZE, noise};
 
@@ -29,6 +29,11 @@ fn image(
     let to_target = pose.inverse().isometry() * left_from_cam;
     let origin = to_target * Point3::origin();
     let centre = camera.project(&(cam_from_left * pose.transform_point(&Point3::origin()))).expect("in front");
+    // Without distortion a ray of depth 1 is linear in its pixel.
+    assert_eq!(*camera.distortion(), Distortion::None);
+    let ray_at = |u: f64, v: f64| to_target * camera.unproject(&Vector2::new(u, v)).expect("ray");
+    let first = ray_at(0.0, 0.0);
+    let (across, down) = (ray_at(1.0, 0.0) - first, ray_at(0.0, 1.0) - first);
     RgbImage::from_fn(SIZE.width, SIZE.height, |u, v| {
         let is_near = (Vector2::new(f64::from(u), f64::from(v)) - centre).norm() < FINE_PX;
         let samples = if is_near { SAMPLES } else { 1 };
@@ -36,7 +41,7 @@ fn image(
         for sample in 0..samples * samples {
             let [x, y] = [(u, sample % samples), (v, sample / samples)]
                 .map(|(px, part)| f64::from(px) + (f64::from(part) + 0.5) / f64::from(samples) - 0.5);
-            let ray = to_target * camera.unproject(&Vector2::new(x, y)).expect("ray");
+            let ray = first + across * x + down * y;
             let at = origin - ray * (origin.z / ray.z);
             sum += paint(at.x, at.y).unwrap_or(60.0);
         }
