@@ -230,7 +230,7 @@ impl Taps {
     /// Weights of `N` pixels from the first one on.
     #[inline(always)]
     #[allow(clippy::needless_range_loop, reason = "several arrays are walked in step")]
-    fn spread<const N: usize>(&self) -> [[f32; CELL]; N] {
+    fn weights_over<const N: usize>(&self) -> [[f32; CELL]; N] {
         let mut out = [[0.0; CELL]; N];
         if N == self.weights.len() {
             out.copy_from_slice(&self.weights);
@@ -238,15 +238,15 @@ impl Taps {
         }
         // All taps of a pixel in one loop: of several short loops the compiler makes a shuffle of single values.
         for i in 0..CELL {
-            let mut spread = [0.0; N];
+            let mut weights = [0.0; N];
             for shift in 0..N - 3 {
                 let is_here = self.shift[i] == self.low + shift as f32;
                 for j in 0..4 {
-                    spread[shift + j] += if is_here { self.weights[j][i] } else { 0.0 };
+                    weights[shift + j] += if is_here { self.weights[j][i] } else { 0.0 };
                 }
             }
             for tap in 0..N {
-                out[tap][i] = spread[tap];
+                out[tap][i] = weights[tap];
             }
         }
         out
@@ -268,7 +268,7 @@ fn turned(colours: &[[f32; PATCH]; 3], wanted: Wanted) -> [[f32; PATCH]; 3] {
 /// Sums over `N` x `N` pixels of a patch.
 #[inline(always)]
 fn sum<const N: usize>(planes: &[[[f32; STRIDE]; STRIDE]], columns: &Taps, rows: &Taps, out: &mut [[f32; CELL]; 3]) {
-    let (along, across): ([[f32; CELL]; N], [[f32; CELL]; N]) = (columns.spread(), rows.spread());
+    let (along, across): ([[f32; CELL]; N], [[f32; CELL]; N]) = (columns.weights_over(), rows.weights_over());
     for (plane, out) in planes.iter().zip(out) {
         let Some(lines) = plane.get(rows.first..rows.first + N) else { continue };
         let mut sums = [0.0_f32; CELL];
