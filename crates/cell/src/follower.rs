@@ -58,9 +58,11 @@ impl Follower {
     ) -> Result<TrackEstimate, EstimationError> {
         let (left, right) = (left.into(), right.into());
         if let Some(region) = region {
-            let estimate = self
-                .tracker
-                .estimate(EstimateRequest::of_target(left, right, region, &self.range).until(may_continue))?;
+            let estimate = self.tracker.estimate(
+                EstimateRequest::of_target(left, right, region, &self.range)
+                    .with_skew(prior.skew_s)
+                    .until(may_continue),
+            )?;
             self.marked = Some((region.clone(), 1));
             return Ok(estimate);
         }
@@ -72,7 +74,9 @@ impl Follower {
             return Ok(given_up());
         }
         *tries += 1;
-        self.tracker.estimate(EstimateRequest::of_target(left, right, region, &self.range).until(may_continue))
+        self.tracker.estimate(
+            EstimateRequest::of_target(left, right, region, &self.range).with_skew(prior.skew_s).until(may_continue),
+        )
     }
 }
 

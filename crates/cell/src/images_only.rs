@@ -79,8 +79,8 @@ impl ImagesOnly {
         };
         progress.target += u64::from(selection.is_some());
         let before = progress.before.replace(pair.exposed_at);
-        let prior =
-            FramePrior { dt_s: before.map(|before| pair.exposed_at.seconds_since(before)), ..FramePrior::default() };
+        let dt_s = before.map(|before| pair.exposed_at.seconds_since(before));
+        let prior = FramePrior { dt_s, skew_s: pair.skew_s(), ..FramePrior::default() };
         let estimate = match &selection {
             Some(selection) => self.select(selection, &pair, &prior),
             None if self.follower.is_started() => self.track(&pair, &prior),
@@ -90,7 +90,7 @@ impl ImagesOnly {
             self.follower.forget();
             TrackEstimate::without_pose(Status::NotObservable, refusal.to_string())
         });
-        let frame = FrameInput { sequence: pair.sequence, at: pair.exposed_at, skew_s: pair.skew_nanos as f64 * 1e-9 };
+        let frame = FrameInput { sequence: pair.sequence, at: pair.exposed_at, skew_s: pair.skew_s() };
         let now = self.clock.now();
         let millis_since = |time: MonotonicTime| now.saturating_since(time).as_secs_f64() * 1e3;
         let (latency_millis, age_millis) = (millis_since(started), millis_since(pair.exposed_at));

@@ -14,6 +14,7 @@ use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::{Clock, FollowedTarget};
 use pb3dp_kinematics::JointState;
 use pb3dp_servo::JointHistory;
+use pb3dp_servo::supervisor::FrameInput;
 use pb3dp_setup::setup::{Pace, Setup};
 
 use super::both_arms::in_words;
@@ -177,7 +178,7 @@ impl<'a> Estimating<'a> {
             Some(Choice::OfSetup) if !(self.is_of_setup && self.cameras.follows()) => self.select_of_setup(&captured),
             // A target of the setup that is followed already stays: its region in the images may show something else by now.
             Some(Choice::OfSetup) | None => {
-                let prior = self.prior(captured.frame.at);
+                let prior = self.prior(&captured.frame);
                 let region = self.cameras.region(self.setup, captured.cam_left_from_target.as_ref())?;
                 self.target += u64::from(region.is_some());
                 let estimate = self.cameras.estimate(&captured.view, region.as_ref(), &prior)?;
@@ -233,7 +234,7 @@ impl<'a> Estimating<'a> {
                 self.target += 1;
                 self.cameras.forget();
                 let estimate = TrackEstimate::without_pose(Status::NotObservable, format!("{why:#}"));
-                (None, estimate, self.prior(captured.frame.at))
+                (None, estimate, self.prior(&captured.frame))
             }
         }
     }
@@ -246,11 +247,11 @@ impl<'a> Estimating<'a> {
             Some(pair) => {
                 let view = View::Images(Arc::clone(pair));
                 self.previous = Some((pair.exposed_at, self.base_from_cam_left_at(pair.exposed_at)));
-                self.cameras.estimate(&view, Some(region), &FramePrior::default())
+                self.cameras.estimate(&view, Some(region), &FramePrior::of_skew(pair.skew_s()))
             }
-            None => self.cameras.estimate(&captured.view, Some(region), &FramePrior::default()),
+            None => self.cameras.estimate(&captured.view, Some(region), &FramePrior::of_skew(captured.frame.skew_s)),
         };
-        let prior = self.prior(captured.frame.at);
+        let prior = self.prior(&captured.frame);
         let is_drawn_before = drawn_on.as_ref().is_some_and(|pair| pair.sequence != captured.frame.sequence);
         if is_drawn_before && estimate.is_ok() {
             estimate = self.cameras.estimate(&captured.view, None, &prior);
@@ -274,12 +275,13 @@ impl<'a> Estimating<'a> {
     }
 
     /// Prior information on a new frame from the joints and the clock.
-    fn prior(&mut self, at: MonotonicTime) -> FramePrior {
+    fn prior(&mut self, frame: &FrameInput) -> FramePrior {
+        let FrameInput { at, skew_s, .. } = *frame;
         let base_from_cam_left = self.base_from_cam_left_at(at);
         let previous = self.previous.replace((at, base_from_cam_left));
         let motion = previous.and_then(|(_, prev)| Some(prev?.inverse() * base_from_cam_left?));
         let dt_s = previous.map(|(before, _)| at.seconds_since(before));
-        FramePrior { dt_s, ..FramePrior::of_motion(motion.as_ref()) }
+        FramePrior { dt_s, skew_s, ..FramePrior::of_motion(motion.as_ref()) }
     }
 }
 

@@ -19,7 +19,7 @@ use crate::row_offset::RowMeasurement;
 pub struct EstimateRequest<'a> {
     /// Raw image of the left camera.
     pub left: ImageView<'a>,
-    /// Raw image of the right camera, exposed at the same time.
+    /// Raw image of the right camera, exposed at the same time, or later by [`FramePrior::skew_s`].
     pub right: ImageView<'a>,
     /// A new target; `None` keeps the target of the previous request.
     pub target: Option<MarkedTarget<'a>>,
@@ -49,6 +49,9 @@ pub struct FramePrior {
     pub cam_left_from_model: Option<Pose<CamLeft, Model>>,
     /// Time between the previous exposure and this one, seconds; `None`: the same as the previous interval.
     pub dt_s: Option<f64>,
+    /// Middle of the right exposure minus middle of the left one, seconds; 0: both at once. A tracker with a model of the motion takes the
+    /// target's motion in this time into account, if [`Self::dt_s`] is known too.
+    pub skew_s: f64,
 }
 
 impl FramePrior {
@@ -57,7 +60,12 @@ impl FramePrior {
         Self { cam_left_prev_from_cam_left_now: cam_left_prev_from_cam_left_now.copied(), ..Self::default() }
     }
 
-    /// Without what cannot be true: numbers that are not finite, a rotation that is none, a camera that moved by more than [`CAMERA_STEP_MAX_M`] or
+    /// A prior with the skew only.
+    pub fn of_skew(skew_s: f64) -> Self {
+        Self { skew_s, ..Self::default() }
+    }
+
+    /// Without what cannot be true: numbers that are not finite, a rotation that is none, a skew above [`SKEW_MAX_S`], a camera that moved by more than [`CAMERA_STEP_MAX_M`] or
     /// [`CAMERA_TURN_MAX_RAD`], a target behind the camera or farther than [`TARGET_MAX_M`]. A wrong prior then costs accuracy of a
     /// prediction, not the target.
     #[must_use]
@@ -78,10 +86,13 @@ impl FramePrior {
             cam_left_prev_from_cam_left_now: self.cam_left_prev_from_cam_left_now.filter(is_step),
             cam_left_from_model: self.cam_left_from_model.filter(is_target),
             dt_s: self.dt_s.filter(|dt_s| dt_s.is_finite() && *dt_s > 0.0),
+            skew_s: if self.skew_s.abs() <= SKEW_MAX_S { self.skew_s } else { 0.0 },
         }
     }
 }
 
+/// Largest plausible time between the exposures of a pair: three periods of 30 per second.
+pub const SKEW_MAX_S: f64 = 0.1;
 /// Largest plausible motion of the camera between two exposures. A hand moves by centimetres; after a gap of seconds nothing is predicted
 /// well.
 pub const CAMERA_STEP_MAX_M: f64 = 1.0;
@@ -134,6 +145,13 @@ impl<'a> EstimateRequest<'a> {
     pub fn of_next(left: impl Into<ImageView<'a>>, right: impl Into<ImageView<'a>>, prior: &FramePrior) -> Self {
         let (left, right) = (left.into(), right.into());
         Self { left, right, target: None, prior: *prior, deadline: Deadline::default() }
+    }
+
+    /// Adds the skew of the pair, see [`FramePrior::skew_s`]: that of a new target's first pair.
+    #[must_use]
+    pub fn with_skew(mut self, skew_s: f64) -> Self {
+        self.prior.skew_s = skew_s;
+        self
     }
 
     /// Adds a deadline: the method continues while `may_continue` returns true.

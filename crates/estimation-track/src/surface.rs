@@ -146,6 +146,13 @@ impl Surface {
         self.rebuild();
     }
 
+    /// Replaces the plane; relief and information about the surface stay as they are.
+    pub(super) fn set_plane(&mut self, plane: Vector3<f64>) {
+        self.plane_of_shape += plane - self.plane;
+        self.plane = plane;
+        self.rebuild();
+    }
+
     /// Computes the positions of all points from plane and relief.
     pub(super) fn rebuild(&mut self) {
         let model_from_first = self.model_from_first;

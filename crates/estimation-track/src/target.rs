@@ -1,5 +1,6 @@
 //! One target: its surface, its stored views, and its state.
 
+mod exposures;
 mod lost;
 mod periodic;
 
@@ -37,6 +38,9 @@ const SHARES: Shares = Shares { relief: 0.5, plane: 0.15, plane_in_all: 2.0 };
 /// Weight of a frame's information about the row offset. Chosen by hand, not varied: 50 frames count as much as one that is
 /// independent.
 const ROW_SHARE: f64 = 0.02;
+/// Information about the row offset before the first frame: a standard deviation of half a pixel, as of a moderate calibration. Chosen by
+/// hand, not varied.
+const ROW_INFORMATION_START: f64 = 4.0;
 /// Largest information about the row offset (0.01 px). Chosen by hand, not varied: with more, a row offset that drifts is
 /// not followed.
 const ROW_INFORMATION_MAX: f64 = 1e4;
@@ -100,6 +104,8 @@ pub(super) struct Target {
     has_twin: bool,
     /// Periods of the texture; `None` if it does not repeat.
     periodic: Option<Box<Periodic>>,
+    /// Time between the exposures of the first pair, as long as the motion in it is not known, seconds.
+    pub(super) first_skew_s: Option<f64>,
 }
 
 /// Result of a frame.
@@ -142,7 +148,7 @@ impl Target {
             estimate: Estimate::at(pose),
             knowledge: Knowledge {
                 row_offset_px: 0.0,
-                row_information: 4.0,
+                row_information: ROW_INFORMATION_START,
                 shape_information: Matrix3::identity() * 1e-3,
             },
             motion: Motion::resting(pose),
@@ -157,6 +163,7 @@ impl Target {
             independent_points: 0.0,
             has_twin: false,
             periodic: None,
+            first_skew_s: None,
         };
         target.keep_view(frame, false);
         target.independent_points = independent_points(&target.surface.levels[0], &target.views[0].levels[0]);
@@ -198,20 +205,29 @@ impl Target {
     /// Moves the frame `model` onto the plane of the refined surface, in the first pair. For a plane that was only a start value:
     /// the refined one is more accurate, and the covariance is that of the refined one.
     pub(super) fn settle_on_plane(&mut self, frame: &Frame<'_>) {
-        let before = self.estimate.cam_left_from_model;
+        if self.place_frame().is_none() {
+            return;
+        }
+        self.estimate.cam_left_from_model = self.motion.cam_left_from_model;
+        if let Some(equations) = self.examine(frame, false) {
+            self.judge();
+            self.conclude(&equations, false);
+        }
+    }
+
+    /// Moves the frame `model` onto the plane of the surface in the first pair, and expresses everything but the estimate in it. Maps the
+    /// old frame to the new one.
+    fn place_frame(&mut self) -> Option<Pose<Model, Model>> {
+        let before = self.views[0].cam_left_from_model;
         let centre_ray = before.translation_m() / before.translation_m().z;
-        let Some(pose) = model_frame(&self.surface.plane, &centre_ray) else { return };
+        let pose = model_frame(&self.surface.plane, &centre_ray)?;
         let after_from_before = pose.inverse() * before;
         self.surface.model_from_first = pose.inverse();
         self.surface.rebuild();
         self.outline_in_model.iter_mut().for_each(|point| *point = after_from_before.transform_point(point));
         self.views[0].cam_left_from_model = pose;
-        self.estimate.cam_left_from_model = pose;
         self.motion = Motion::resting(pose);
-        if let Some(equations) = self.examine(frame, false) {
-            self.judge();
-            self.conclude(&equations, false);
-        }
+        Some(after_from_before)
     }
 
     /// The points of the surface, with their colours in the first view.

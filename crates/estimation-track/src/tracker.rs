@@ -1,11 +1,13 @@
 //! The direct tracker: public interface, frame by frame.
 
+mod certainty;
+
 use std::fmt::Write;
 
-use nalgebra::{Matrix6, Point3, Vector2, Vector3};
+use nalgebra::{Point3, Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_image_sizes};
-use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose, SHIFT_SIGMA_SURE, TrackEstimate};
+use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose, TrackEstimate};
 use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, FramePrior, MarkedTarget, SurfacePoint};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
@@ -19,6 +21,7 @@ use pb3dp_geometry::{Pose, StereoRig};
 use super::config::DirectTrackerConfig;
 use super::images::CameraImages;
 use super::judge::Fit;
+use super::predict::Expected;
 use super::repeated::{Remembered, stuck_camera};
 use super::surface::{Surface, model_frame};
 use super::target::{Ending, Frame, Target};
@@ -51,6 +54,9 @@ const MARGIN_START_PX: u32 = 40;
 /// [`Pose::perturbed_in_from`]. It includes the uncertainty of the surface since the first frame, and is inflated if residuals
 /// of neighbouring points correlate more than noise would.
 ///
+/// If the exposures of a pair are known to differ ([`FramePrior::skew_s`]), the motion of the target in between is taken out from the second
+/// frame on (docs/method.md, exposures at different times).
+///
 /// To track several targets, use several trackers on the same pair: they share nothing, and their costs add up.
 #[derive(Clone, Debug)]
 pub struct DirectTracker {
@@ -64,6 +70,8 @@ pub struct DirectTracker {
     remembered: [Remembered; 2],
     target: Option<Target>,
     was_started: bool,
+    /// The rig that sees the target of this frame at rest, as if both cameras exposed at once.
+    rig_at_rest: StereoRig,
 }
 
 impl DirectTracker {
@@ -106,6 +114,7 @@ impl DirectTracker {
             remembered,
             target: None,
             was_started: false,
+            rig_at_rest: *rig,
         })
     }
 
@@ -149,26 +158,6 @@ impl DirectTracker {
         Ok(self.with_errors_of_plane(TrackEstimate { status, reason, ..estimate }, &found))
     }
 
-    /// The first pose on a curved surface, with the errors of the plane that defines the frame `model`: the tilt of a curved surface is
-    /// no more certain than that plane. Later poses are measured relative to the first one.
-    fn with_errors_of_plane(&self, mut first: TrackEstimate, found: &PlaneEstimate) -> TrackEstimate {
-        let of_plane = found.plane_covariance.filter(|_| self.target.as_ref().is_some_and(Target::is_curved));
-        let (Some(covariance), Some(of_plane)) = (&mut first.covariance, of_plane) else { return first };
-        // Of the depth and of the tilts about x and y.
-        for (axis, variance) in [2, 3, 4].into_iter().zip(of_plane.diagonal().iter()) {
-            covariance[(axis, axis)] = covariance[(axis, axis)].max(*variance);
-        }
-        let (tilt_deg, limit) =
-            (covariance[(3, 3)].max(covariance[(4, 4)]).sqrt().to_degrees(), self.config.tilt_sigma_sure_deg);
-        if first.status == Status::Ok && tilt_deg > limit {
-            first.status = Status::WeakTilt;
-            first.reason = format!(
-                "the plane of the surface has a standard deviation of {tilt_deg:.1} degrees (limit {limit:.1})"
-            );
-        }
-        first
-    }
-
     /// Reason if half of the recovered surface is nearer or farther than the depth range: from a wrong plane, a relief may
     /// reach a target outside the range.
     fn surface_outside(&self, pose: &Pose<CamLeft, Model>, range: &SearchRange) -> Option<String> {
@@ -208,6 +197,7 @@ impl DirectTracker {
         let (left, right) = (left.into(), right.into());
         self.target = None;
         self.was_started = true;
+        self.rig_at_rest = self.rig;
         check_image_sizes(&self.rig, left, right)?;
         let mask = region.rasterize(left, &self.region_config)?;
         let inner = mask.erode(self.erosion_px(&mask));
@@ -235,10 +225,10 @@ impl DirectTracker {
         }
         if is_part && !target.is_curved() {
             // The part's plane was fitted to a relief that spans several surfaces.
-            target.settle_on_plane(&Frame { images: &self.images, rig: &self.rig, config: &self.config });
+            target.settle_on_plane(&self.frame());
         }
         self.load_whole(left, right);
-        let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
+        let frame = self.frame();
         target.find_periods(&frame, &pixels[0]);
         target.look_for_twins(&frame);
         self.remember(&target, left, right);
@@ -278,7 +268,7 @@ impl DirectTracker {
         };
         let outline_in_model: Vec<Point3<f64>> = outline_px.iter().filter_map(on_plane).collect();
         self.load(left, right, &pose, &outline_in_model, MARGIN_START_PX);
-        let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
+        let frame = self.frame();
         Ok(Some(Target::first(surface, pose, outline_in_model, &frame, self.kernels)))
     }
 
@@ -356,14 +346,21 @@ impl DirectTracker {
             target.motion.coast(prior);
             return Ending::Stuck(side);
         }
-        let expected = target.motion.expect(prior);
+        let mut expected = target.motion.expect(prior);
+        let motion = target.motion.between_exposures(&expected, prior);
+        self.rig_at_rest = self.rig.with_motion_between_exposures(&motion);
         let mut ending = Ending::OutOfSight;
         if target.lost_frames == 0 {
             let margin = if target.motion.is_known() { MARGIN_PX } else { MARGIN_UNSURE_PX };
             let margin = margin.max(target.margin_of_periods_px(self.rig.left().pinhole().fx));
             self.load(left, right, &expected.pose, &target.outline_in_model, margin);
-            let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
             let before = target.estimate;
+            let frame = Frame { rig: &self.rig, ..self.frame() };
+            if let Some((rig_at_rest, pose)) = target.second_frame(&expected, &frame, prior, may_continue) {
+                self.rig_at_rest = rig_at_rest;
+                expected = Expected { pose, coasted: pose };
+            }
+            let frame = self.frame();
             ending = target.follow(&expected, &frame, may_continue);
             if ending != Ending::Found {
                 target.estimate = before;
@@ -374,7 +371,7 @@ impl DirectTracker {
             target.away_s += passed_s(prior);
             if may_continue() {
                 self.load_whole(left, right);
-                let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
+                let frame = self.frame();
                 let again = target.search(&expected, &frame, may_continue);
                 // The misfit at the predicted pose is more informative than a failed search elsewhere.
                 if again == Ending::Found || ending == Ending::OutOfSight {
@@ -383,8 +380,8 @@ impl DirectTracker {
             }
         }
         if ending == Ending::Found {
-            let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
-            target.accept(&frame, prior);
+            target.add_error_of_motion(prior, &self.rig);
+            target.accept(&self.frame(), prior);
         } else {
             target.motion.coast(prior);
         }
@@ -392,10 +389,14 @@ impl DirectTracker {
         ending
     }
 
+    fn frame(&self) -> Frame<'_> {
+        Frame { images: &self.images, rig: &self.rig_at_rest, config: &self.config }
+    }
+
     /// Stores the parts of both images that contained the target in its last pose.
     fn remember(&mut self, target: &Target, left: ImageView<'_>, right: ImageView<'_>) {
         let pose = target.estimate.cam_left_from_model;
-        let right_pose = *self.rig.cam_right_from_cam_left() * pose;
+        let right_pose = *self.rig_at_rest.cam_right_from_cam_left() * pose;
         let cameras = [(left, self.rig.left(), pose.isometry()), (right, self.rig.right(), right_pose.isometry())];
         for (remembered, (image, camera, cam_from_model)) in self.remembered.iter_mut().zip(cameras) {
             remembered.keep(image, &super::target::window(&target.outline_in_model, camera, cam_from_model));
@@ -419,7 +420,7 @@ impl DirectTracker {
         outline: &[Point3<f64>],
         margin: u32,
     ) {
-        let right_pose = *self.rig.cam_right_from_cam_left() * *pose;
+        let right_pose = *self.rig_at_rest.cam_right_from_cam_left() * *pose;
         let cameras = [(left, self.rig.left(), pose.isometry()), (right, self.rig.right(), right_pose.isometry())];
         for (images, (image, camera, cam_from_model)) in self.images.iter_mut().zip(cameras) {
             let window = super::target::window(outline, camera, cam_from_model).grown(margin);
@@ -494,55 +495,7 @@ impl DirectTracker {
             out.outline_px.extend(target.outline_in_model.iter().filter_map(project));
         }
     }
-
-    /// Status, and which directions are observed, by the standard deviations of the six directions.
-    fn judge_covariance(
-        &self,
-        covariance: Option<&Matrix6<f64>>,
-        distance_m: f64,
-        reason: &mut String,
-    ) -> (Status, Option<[bool; 6]>) {
-        let limit = self.config.tilt_sigma_sure_deg;
-        let sigma = |axis: usize| covariance.map_or(f64::INFINITY, |c| c[(axis, axis)].sqrt());
-        let most = |axis: usize| if axis < 3 { SHIFT_SIGMA_SURE * distance_m } else { limit.to_radians() };
-        let observed: [bool; 6] = std::array::from_fn(|axis| sigma(axis) <= most(axis));
-        let tilt_deg = sigma(3).hypot(sigma(4)).to_degrees();
-        let sure = tilt_deg <= limit;
-        let verb = if sure { "is determined" } else { "is not determined" };
-        // Writing into a string cannot fail.
-        let _ = write!(
-            reason,
-            "the normal's standard deviation is {tilt_deg:.2} degrees (limit {limit:.2}): the tilt {verb}"
-        );
-        if covariance.is_none() {
-            return (Status::WeakTilt, None);
-        }
-        let [x, y, depth, _, _, spin] = observed;
-        if !(x && y && depth && spin) {
-            reason.push_str("; the images do not show");
-            for (count, (name, _)) in AXES.iter().zip(observed).filter(|(_, is_observed)| !is_observed).enumerate() {
-                let _ = write!(reason, "{} {name}", if count == 0 { "" } else { "," });
-            }
-        }
-        let status = match (depth, x && y && spin) {
-            (false, _) => Status::Ambiguous,
-            (true, false) => Status::PartlyObserved,
-            (true, true) if sure => Status::Ok,
-            (true, true) => Status::WeakTilt,
-        };
-        (status, Some(observed))
-    }
 }
-
-/// Directions of a pose in words.
-const AXES: [&str; 6] = [
-    "a shift along x",
-    "a shift along y",
-    "the depth",
-    "the turn about x",
-    "the turn about y",
-    "the turn about the normal",
-];
 
 impl EstimationMethod for DirectTracker {
     type Answer = TrackEstimate;
@@ -551,7 +504,12 @@ impl EstimationMethod for DirectTracker {
     /// status. So is a target that the initialisation did not find: `not-observable` until it is marked again.
     fn answer(&mut self, request: &mut EstimateRequest<'_>) -> Result<TrackEstimate, EstimationError> {
         if request.target.is_some() {
-            return self.start(request);
+            let skew_s = request.prior.plausible().skew_s;
+            let first = self.start(request)?;
+            if let Some(target) = &mut self.target {
+                target.first_skew_s = Some(skew_s).filter(|skew_s| *skew_s != 0.0);
+            }
+            return Ok(self.with_errors_of_motion(first, skew_s));
         }
         let mut estimate = blank();
         self.follow_into(request, &mut estimate)?;

@@ -14,6 +14,7 @@ mod direct_track;
 mod direct_track_edges;
 mod direct_track_no_allocation;
 mod direct_track_priors;
+mod direct_track_skew;
 mod image_forms;
 #[path = "support/moving_plane.rs"]
 mod moving_plane;

@@ -101,6 +101,12 @@ impl StereoRig {
         Self { left: self.left.undistorted(), right: self.right.undistorted(), ..*self }
     }
 
+    /// The rig that would see a target at rest as this one sees a target that moves between the two exposures of a pair: `later_from_now`
+    /// maps points of the target in `cam_left` from the left exposure to the right one.
+    pub fn with_motion_between_exposures(&self, later_from_now: &Pose<CamLeft, CamLeft>) -> Self {
+        Self { cam_right_from_cam_left: self.cam_right_from_cam_left * *later_from_now, ..*self }
+    }
+
     /// Whether rows are epipolar lines and columns differ by disparity only: no distortion, no rotation, a baseline along x,
     /// equal fx, fy and cy (cx may differ).
     pub fn is_rectified(&self) -> bool {

@@ -75,8 +75,9 @@ impl Tracker {
     /// `left` and `right`: as in `Estimator.estimate`. `region`: marks the target; needed with the first pair, later it marks another target.
     /// `time_ns`: the middle of the exposure, nanoseconds on any clock; without it the pairs are taken as equally spaced. `deadline_ms`: after
     /// this CPU time the best estimate so far is returned. `cam_left_prev_from_cam_left_now`: the motion of the left camera since the previous
-    /// pair, 4x4, metres, if an arm knows it.
-    #[pyo3(signature = (left, right, region=None, *, time_ns=None, deadline_ms=None, cam_left_prev_from_cam_left_now=None))]
+    /// pair, 4x4, metres, if an arm knows it. `skew_ns`: middle of the right exposure minus middle of the left one, if the cameras did not
+    /// expose at once; the tracker takes out the target's motion in it (needs `time_ns`).
+    #[pyo3(signature = (left, right, region=None, *, time_ns=None, deadline_ms=None, cam_left_prev_from_cam_left_now=None, skew_ns=0))]
     #[allow(clippy::too_many_arguments, reason = "keywords of Python")]
     fn track(
         &self,
@@ -87,6 +88,7 @@ impl Tracker {
         time_ns: Option<u64>,
         deadline_ms: Option<f64>,
         cam_left_prev_from_cam_left_now: Option<PyReadonlyArray2<'_, f64>>,
+        skew_ns: i64,
     ) -> PyResult<TrackEstimate> {
         let region = region.map(Region::of).transpose().or_raise(py)?.map(Bound::get);
         let given = Given::of("left", left).and_then(|left| Ok([left, Given::of("right", right)?])).or_raise(py)?;
@@ -110,6 +112,7 @@ impl Tracker {
                 let before = std::mem::replace(&mut state.last_at, at);
                 let prior = FramePrior {
                     dt_s: at.zip(before).map(|(at, before)| at.seconds_since(before)),
+                    skew_s: skew_ns as f64 * 1e-9,
                     ..FramePrior::of_motion(motion.as_ref())
                 };
                 let (estimate, millis) = timed(|| {

@@ -24,6 +24,13 @@ pub struct FramePair {
     pub exposure: Option<PairExposure>,
 }
 
+impl FramePair {
+    /// As [`Self::skew_nanos`], seconds.
+    pub fn skew_s(&self) -> f64 {
+        self.skew_nanos as f64 * 1e-9
+    }
+}
+
 /// What the cameras are used for: it decides how an exposure that the program controls may change.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum FollowedTarget {

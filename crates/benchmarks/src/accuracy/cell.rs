@@ -76,6 +76,8 @@ pub enum Condition {
     Skew {
         /// Delay, seconds.
         delay_s: f64,
+        /// Whether the trackers know it.
+        is_known: bool,
     },
     /// Both cameras read row after row. The time of a frame is that at which the row of the target's origin is read.
     RollingShutter {
@@ -85,6 +87,19 @@ pub enum Condition {
 }
 
 impl Condition {
+    /// Middle of the right exposure minus middle of the left one, if the trackers know it, seconds.
+    pub fn skew_s(self) -> f64 {
+        match self {
+            Self::Skew { delay_s, is_known: true } => delay_s,
+            _ => 0.0,
+        }
+    }
+
+    /// The frame since which the motion is judged: with a skew the second one, the first whose depth is not that of a target at rest.
+    pub fn first_judged(self) -> usize {
+        usize::from(self.skew_s() != 0.0)
+    }
+
     /// Whether a frame is rendered from several moments.
     pub fn has_moments(self) -> bool {
         matches!(self, Self::Blur { .. } | Self::RollingShutter { .. })

@@ -68,7 +68,7 @@ fn moments(
         Condition::Undisturbed | Condition::ExposureSteps { .. } => {
             ([vec![spec.poses_at(time_s)], vec![spec.poses_at(time_s)]], Shutter::Global)
         }
-        Condition::Skew { delay_s } => {
+        Condition::Skew { delay_s, .. } => {
             ([vec![spec.poses_at(time_s)], vec![spec.poses_at(time_s + delay_s)]], Shutter::Global)
         }
         Condition::Blur { exposure_s } => {
@@ -133,7 +133,7 @@ mod tests {
         let (moments, shutter, spec) = exposed(Condition::Blur { exposure_s: 0.01 });
         assert_eq!((shutter, moments[0].len()), (Shutter::Global, MOMENTS));
         assert_eq!(moments[0][MOMENTS / 2], spec.poses_at(0.5));
-        let (moments, _, spec) = exposed(Condition::Skew { delay_s: 0.005 });
+        let (moments, _, spec) = exposed(Condition::Skew { delay_s: 0.005, is_known: true });
         assert_eq!((moments[0][0], moments[1][0]), (spec.poses_at(0.5), spec.poses_at(0.505)));
     }
 

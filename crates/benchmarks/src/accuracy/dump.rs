@@ -11,6 +11,7 @@ use pb3dp_record::images::StoredFormat;
 
 use super::cell::Cell;
 use super::cells;
+use super::ensembles::{self, EnsembleSpec};
 use super::measure::Worker;
 use super::scenes::SceneStore;
 use super::sequences::{self, SEARCH, SequenceSpec, long};
@@ -39,14 +40,20 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(cell) = cells::all().into_iter().find(|cell| cell.name == args.cell) {
         return dump_cell(&cell, args);
     }
-    match sequences::all().into_iter().chain([long()]).find(|sequence| sequence.name == args.cell) {
+    match sequences(args.seed).find(|sequence| sequence.name == args.cell) {
         Some(sequence) => dump_sequence(&sequence, args),
         None => {
             let cells = cells::all().into_iter().map(|cell| cell.name);
-            let names: Vec<_> = cells.chain(sequences::all().into_iter().map(|sequence| sequence.name)).collect();
+            let names: Vec<_> = cells.chain(sequences(args.seed).map(|sequence| sequence.name)).collect();
             bail!("no configuration or sequence is called `{}`; known are {}", args.cell, names.join(", "))
         }
     }
+}
+
+/// All sequences; those of an ensemble have its name and a number, from 0.
+fn sequences(seed: u32) -> impl Iterator<Item = SequenceSpec> {
+    let members = move |ensemble: EnsembleSpec| (0..ensemble.sequences).map(move |index| ensemble.member(seed, index));
+    sequences::all().into_iter().chain([long()]).chain(ensembles::all().into_iter().flat_map(members))
 }
 
 fn recorded(search: &SearchRange) -> dataset::SearchRange {
@@ -93,7 +100,7 @@ fn dump_sequence(spec: &SequenceSpec, args: &Args) -> anyhow::Result<()> {
             left: &left,
             right: &right,
             exposed_at: MonotonicTime::from_secs_f64(frame as f64 / spec.rate_hz),
-            skew_nanos: 0,
+            skew_nanos: (1e9 * spec.condition.skew_s()).round() as i64,
             cam_left_from_model: Some(spec.cam_left_from_target(frame).relabel()),
         })?;
     }

@@ -75,8 +75,15 @@ pub fn all() -> Vec<EnsembleSpec> {
     for millis in [5.0, 10.0] {
         ensembles.push(disturbed(&format!("blur/{millis}ms"), Condition::Blur { exposure_s: millis * 1e-3 }));
     }
-    for millis in [1.0, 5.0] {
-        ensembles.push(disturbed(&format!("skew/{millis}ms"), Condition::Skew { delay_s: millis * 1e-3 }));
+    for (name, millis, is_known) in [
+        ("skew", 1.0, true),
+        ("skew", 5.0, true),
+        ("skew", 15.0, true),
+        ("skew-unknown", 1.0, false),
+        ("skew-unknown", 5.0, false),
+    ] {
+        let condition = Condition::Skew { delay_s: millis * 1e-3, is_known };
+        ensembles.push(disturbed(&format!("{name}/{millis}ms"), condition));
     }
     for millis in [10.0, 20.0] {
         let condition = Condition::RollingShutter { readout_s: millis * 1e-3 };

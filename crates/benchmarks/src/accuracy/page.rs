@@ -159,7 +159,8 @@ For ensembles the independent unit is the sequence: the NEES is the mean of the 
 | `exposure/both-1.5x` | the exposure of both cameras changes at every sixth frame: normal, 1.5 times as long, normal, 1.5 times as short |
 | `exposure/right-1.5x` | only that of the right camera does |
 | `blur` | an exposure of this duration, in nine moments |
-| `skew` | the right camera exposes later by this duration; the truth is that of the left camera |
+| `skew` | the right camera exposes later by this duration, which the trackers know; the truth is that of the left camera, and errors are those of the motion since the second frame, the first one whose depth is not that of a target at rest |
+| `skew-unknown` | the same, but the trackers do not know it; errors since the first frame |
 | `rolling` | both cameras read their rows one after the other, in this time for all rows; the truth is that of the moment at which the row of the target's origin is read |
 ";
 

@@ -81,6 +81,8 @@ pub fn follow(spec: &SequenceSpec, methods: &[Method], seed: u32, scenes: &mut S
     let mut trackers =
         methods.iter().map(|method| Tracker::new(*method, &frames.rig, &config)).collect::<Result<Vec<_>, _>>()?;
     let region = Region::Polygon { vertices_px: frames.outline_px()? };
+    let first_judged = spec.condition.first_judged();
+    let prior = FramePrior { dt_s: Some(1.0 / spec.rate_hz), ..FramePrior::of_skew(spec.condition.skew_s()) };
     let (mut left, mut right) = (RgbImage::new(1, 1), RgbImage::new(1, 1));
     let mut judges = vec![Judge::new(spec); trackers.len()];
     let mut tracked = vec![Vec::with_capacity(spec.frames); trackers.len()];
@@ -88,13 +90,15 @@ pub fn follow(spec: &SequenceSpec, methods: &[Method], seed: u32, scenes: &mut S
         frames.render(frame, &mut left, &mut right)?;
         for ((tracker, tracked), judge) in trackers.iter_mut().zip(&mut tracked).zip(&mut judges) {
             let (answer, cpu_millis) = timed(|| match frame {
-                0 => tracker.estimate(EstimateRequest::of_target(&left, &right, &region, &SEARCH)),
-                _ => tracker.estimate(EstimateRequest::of_next(&left, &right, &FramePrior::default())),
+                0 => tracker
+                    .estimate(EstimateRequest::of_target(&left, &right, &region, &SEARCH).with_skew(prior.skew_s)),
+                _ => tracker.estimate(EstimateRequest::of_next(&left, &right, &prior)),
             });
-            tracked.push(judge.judge(frame, answer.ok(), cpu_millis));
+            let judged = judge.judge(frame, answer.ok(), cpu_millis);
+            tracked.extend((frame >= first_judged).then_some(judged));
         }
     }
-    let truth = (0..spec.frames).map(|frame| spec.cam_left_from_target(frame).relabel()).collect();
+    let truth = (first_judged..spec.frames).map(|frame| spec.cam_left_from_target(frame).relabel()).collect();
     let names = trackers.iter().map(|tracker| tracker.method().name());
     Ok(Run { tracked: names.zip(tracked).collect(), truth })
 }
@@ -120,11 +124,15 @@ struct Judge<'a> {
     /// Pose of the target in the first frame, and the first answer.
     first: Pose<CamLeft, Target>,
     answered: Option<Pose<CamLeft, Model>>,
+    /// The frame since which the motion is judged, and its answer.
+    since: usize,
+    answered_since: Option<Pose<CamLeft, Model>>,
 }
 
 impl<'a> Judge<'a> {
     fn new(spec: &'a SequenceSpec) -> Self {
-        Self { spec, first: spec.cam_left_from_target(0), answered: None }
+        let since = spec.condition.first_judged();
+        Self { spec, first: spec.cam_left_from_target(0), answered: None, since, answered_since: None }
     }
 
     fn judge(&mut self, frame: usize, answer: Option<TrackEstimate>, cpu_millis: f64) -> Tracked {
@@ -132,19 +140,25 @@ impl<'a> Judge<'a> {
         if frame == 0 {
             self.answered = estimate.cam_left_from_model;
         }
-        let moved = self.spec.cam_left_from_target(frame) * self.first.inverse();
+        if frame == self.since {
+            self.answered_since = estimate.cam_left_from_model;
+        }
+        let moved_since = |frame_before: usize| {
+            self.spec.cam_left_from_target(frame) * self.spec.cam_left_from_target(frame_before).inverse()
+        };
         let error = |truth: Option<Pose<CamLeft, Model>>| {
             let (pose, covariance) = estimate.cam_left_from_model.zip(estimate.covariance)?;
             // true = estimate * exp(xi), xi = [rho; phi] in the model's axes.
             let xi: Vector6<f64> = (pose.inverse() * truth?).log();
             Some(xi.dot(&covariance.cholesky()?.solve(&xi)) / 6.0)
         };
-        let of_motion = error(self.answered.filter(|_| frame > 0).map(|first| moved * first));
+        let then = self.answered_since.filter(|_| frame > self.since);
+        let of_motion = error(then.map(|then| moved_since(self.since) * then));
         Tracked {
             status: estimate.status,
             pose: estimate.cam_left_from_model,
             normalised_error: if self.spec.setup.is_planar() {
-                error(self.model().map(|m| moved * m))
+                error(self.model().map(|model| moved_since(0) * model))
             } else {
                 of_motion
             },

@@ -194,7 +194,8 @@ pub fn priors_with_any_numbers_survive(bytes: &[u8]) {
     // 0.8 m away, one column per frame to the left.
     let pair = |frame: usize| (paint(size, 8, 0, frame), paint(size, 8, 10, frame));
     let (left, right) = pair(0);
-    let started = tracker.estimate(EstimateRequest::of_target(&left, &right, &region, &range));
+    let skew_s = if c.byte() > 64 { c.number(0.01) } else { 0.0 };
+    let started = tracker.estimate(EstimateRequest::of_target(&left, &right, &region, &range).with_skew(skew_s));
     started.iter().for_each(|estimate| check_track(method, estimate));
     for frame in 1..=1 + usize::from(c.byte() % 4) {
         let (left, right) = pair(frame);
@@ -202,6 +203,7 @@ pub fn priors_with_any_numbers_survive(bytes: &[u8]) {
             cam_left_prev_from_cam_left_now: (c.byte() > 64).then(|| c.pose([0.01, 0.0, 0.0], [0.0, 0.0, 0.0])),
             cam_left_from_model: (c.byte() > 64).then(|| c.pose([0.0, 0.0, 0.8], [0.0, 0.0, 0.0])),
             dt_s: (c.byte() > 64).then(|| c.number(0.033)),
+            skew_s: if c.byte() > 64 { c.number(0.01) } else { 0.0 },
         };
         match tracker.estimate(EstimateRequest::of_next(&left, &right, &prior)) {
             Ok(estimate) => check_track(method, &estimate),

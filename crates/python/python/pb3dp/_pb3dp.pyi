@@ -203,6 +203,7 @@ class Tracker:
         time_ns: int | None = None,
         deadline_ms: float | None = None,
         cam_left_prev_from_cam_left_now: _Floats | None = None,
+        skew_ns: int = 0,
     ) -> TrackEstimate: ...
     def surface(self) -> tuple[_Floats, _Floats, _Floats, _Bytes]: ...
     @property

@@ -545,7 +545,8 @@ fn as_recorded(recorded: &RecordedPair) -> Result<PairEstimate> {
     let result = &recorded.result;
     let view = recorded.images.clone().map_or(View::Nothing, View::Images);
     let motion = pose_if_any("cam_left_prev_from_cam_left_now", &result.cam_left_prev_from_cam_left_now)?;
-    let prior = FramePrior { dt_s: result.since_previous_s.first().copied(), ..FramePrior::of_motion(motion.as_ref()) };
+    let dt_s = result.since_previous_s.first().copied();
+    let prior = FramePrior { dt_s, skew_s: result.skew_s, ..FramePrior::of_motion(motion.as_ref()) };
     Ok(PairEstimate {
         captured: captured(result, view)?,
         steps: result.steps,

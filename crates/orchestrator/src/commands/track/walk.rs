@@ -223,8 +223,8 @@ impl Walk {
             self.first = Some(frame);
         }
         let before = self.last_at.replace(pair.exposed_at);
-        let prior =
-            FramePrior { dt_s: before.map(|before| pair.exposed_at.seconds_since(before)), ..FramePrior::default() };
+        let dt_s = before.map(|before| pair.exposed_at.seconds_since(before));
+        let prior = FramePrior { dt_s, skew_s: pair.skew_s(), ..FramePrior::default() };
         let several = self.targets.len() > 1;
         let mut all = Vec::with_capacity(self.targets.len());
         for (index, target) in self.targets.iter_mut().enumerate() {

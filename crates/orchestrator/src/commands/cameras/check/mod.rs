@@ -121,7 +121,7 @@ fn take(camera: &mut V4l2StereoCamera, clock: &dyn Clock, pairs: usize) -> Captu
                 taken.moments.push(Moment {
                     sequence: pair.sequence,
                     exposed_at_s: pair.exposed_at.as_secs_f64(),
-                    skew_s: pair.skew_nanos as f64 * 1e-9,
+                    skew_s: pair.skew_s(),
                 });
                 // Not the first one: some cameras start with a dark image.
                 if number % every == every / 2

@@ -1,0 +1,122 @@
+//! A target that moves between the two exposures of a pair.
+//!
+//! The right camera exposes later by the skew `s`. A rig whose right camera is displaced by the target's motion in this time sees the target
+//! at rest, so everything else remains as it is. The motion is that of the frames before; the first pair has none, and its surface is
+//! corrected in the second frame.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+use pb3dp_estimation_core::method::FramePrior;
+use pb3dp_geometry::frames::{CamLeft, Model};
+use pb3dp_geometry::{Pose, StereoRig};
+
+use super::{Frame, ROW_INFORMATION_START, StartLevel, Target};
+use crate::predict::{Expected, share_of};
+
+/// Variance of a velocity that is extrapolated from three poses, per variance of a pose and square of an interval: the velocity 1.5
+/// intervals after the middle of the last one is 2.5, -4 and 1.5 times the poses, and the sum of the squares is this.
+const EXTRAPOLATED: f64 = 2.5 * 2.5 + 4.0 * 4.0 + 1.5 * 1.5;
+/// Distance of the rays that determine a corrected plane.
+const RAY_STEP: f64 = 0.1;
+
+impl Target {
+    /// The rig that sees the target at rest in the second frame, and its pose there: that frame shows the motion in the first pair, and the
+    /// surface is corrected for it. `None` if the first pair was taken at once, or the frame does not show the target.
+    pub(crate) fn second_frame(
+        &mut self,
+        expected: &Expected,
+        frame: &Frame<'_>,
+        prior: &FramePrior,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Option<(StereoRig, Pose<CamLeft, Model>)> {
+        let first_skew_s = self.first_skew_s.take()?;
+        let step_s = prior.dt_s?;
+        self.attempt(&expected.pose, StartLevel::Resembling, frame, may_continue)?;
+        if self.fit.misfit(&self.limits(frame.config)).is_some() {
+            return None;
+        }
+        let found = self.estimate.cam_left_from_model;
+        let moved = found * self.motion.cam_left_from_model.inverse();
+        let after_from_before = self.correct_first_pair(&share_of(&moved, first_skew_s / step_s), frame.rig)?;
+        let rig = frame.rig.with_motion_between_exposures(&share_of(&moved, prior.skew_s / step_s));
+        Some((rig, found * after_from_before.inverse()))
+    }
+
+    /// Corrects the surface for the motion between the exposures of the first pair, which was taken as one moment. Maps the frame `model`
+    /// before to that after it.
+    fn correct_first_pair(
+        &mut self,
+        later_from_now: &Pose<CamLeft, CamLeft>,
+        rig: &StereoRig,
+    ) -> Option<Pose<Model, Model>> {
+        let origin = self.motion.cam_left_from_model.translation_m();
+        let centre = origin / origin.z;
+        let rays = [Vector3::zeros(), Vector3::x(), Vector3::y()].map(|step| centre + step * RAY_STEP);
+        let mut inverse_depths = Vector3::zeros();
+        for (ray, out) in rays.iter().zip(inverse_depths.iter_mut()) {
+            *out =
+                true_inverse_depth(self.surface.plane.dot(ray), ray, later_from_now, &rig.right_centre_in_cam_left())?;
+        }
+        let plane = Matrix3::from_rows(&rays.map(|ray| ray.transpose())).try_inverse()? * inverse_depths;
+        self.surface.set_plane(plane);
+        // The motion across the rows looked like a misalignment of the rows.
+        self.knowledge.row_offset_px = 0.0;
+        self.knowledge.row_information = ROW_INFORMATION_START;
+        self.place_frame()
+    }
+
+    /// Adds the error of the motion between the exposures to the covariance: depth follows from the difference of both images.
+    pub(crate) fn add_error_of_motion(&mut self, prior: &FramePrior, rig: &StereoRig) {
+        let (Some(covariance), Some(step_s)) = (&mut self.covariance, prior.dt_s) else { return };
+        let pose = &self.estimate.cam_left_from_model;
+        let baseline = rig.right_centre_in_cam_left();
+        let along = pose.inverse().transform_vector(&baseline.normalize());
+        let place = covariance.fixed_view::<3, 3>(0, 0).into_owned();
+        let variance = EXTRAPOLATED * (prior.skew_s / step_s).powi(2) * along.dot(&(place * along));
+        let depth = pose.translation_m().z / baseline.norm();
+        let ray = pose.inverse().transform_vector(&pose.translation_m().normalize());
+        let mut shift = covariance.fixed_view_mut::<3, 3>(0, 0);
+        shift += ray * ray.transpose() * (depth * depth * variance);
+    }
+}
+
+/// Inverse depth on a ray of the left camera of a point that was triangulated as if it had not moved.
+fn true_inverse_depth(
+    inverse_depth: f64,
+    ray: &Vector3<f64>,
+    later_from_now: &Pose<CamLeft, CamLeft>,
+    right_centre: &Vector3<f64>,
+) -> Option<f64> {
+    let mut depth = 1.0 / inverse_depth;
+    let seen = (ray * depth - right_centre).try_normalize(1e-9)?;
+    let across = ray - seen * seen.dot(ray);
+    for _ in 0..2 {
+        let now = ray * depth;
+        let shift = later_from_now.transform_point(&Point3::from(now)).coords - now;
+        depth = across.dot(&(right_centre - shift)) / across.norm_squared();
+    }
+    (depth > 0.0 && depth.is_finite()).then_some(1.0 / depth)
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector6;
+
+    use super::*;
+
+    #[test]
+    fn a_point_that_moved_between_the_exposures_gets_its_true_depth() {
+        let right_centre = Vector3::new(0.098, 0.004, -0.003);
+        let later_from_now = Pose::exp(&Vector6::new(4e-4, -2e-4, 3e-4, 1e-3, -2e-3, 1.5e-3));
+        let ray = Vector3::new(0.12, -0.07, 1.0);
+        let depth_m = 0.46;
+        let seen = later_from_now.transform_point(&Point3::from(ray * depth_m)).coords - right_centre;
+        // Triangulated: the depth on the left ray that is nearest to the right one, in the plane of the left ray and the baseline.
+        let normal = ray.cross(&right_centre).normalize();
+        let in_plane = seen - normal * normal.dot(&seen);
+        let lines = nalgebra::Matrix3x2::from_columns(&[ray, -in_plane]);
+        let found = lines.svd(true, true).solve(&right_centre, 1e-12).unwrap();
+        assert!((found.x - depth_m).abs() > 1e-3, "the motion matters: {found}");
+        let corrected = true_inverse_depth(1.0 / found.x, &ray, &later_from_now, &right_centre).unwrap();
+        assert!((1.0 / corrected - depth_m).abs() < 1e-6, "{}", 1.0 / corrected);
+    }
+}
