@@ -26,7 +26,7 @@ const QUICK_ROUNDS: &str = "40";
 /// raster  stereo pairs per second and core of the simulator's rasteriser
 /// real    every method on real stereo cases, compared with other tools if given: --cases DIR, --peers DIR;
 ///         `cargo xtask bench real -- --help` lists the options. Writes docs/benchmarks/real.md; with --leave-one-scene-out
-///         docs/benchmarks/left_out.md
+///         docs/benchmarks/left_out.md, with --sequences DIR docs/benchmarks/sequences.md
 /// accuracy  every method on rendered scenes with exact truth, compared with the Cramér-Rao bound (up to 20 minutes on two cores;
 ///           --quick: 3); `cargo xtask bench accuracy -- --help` lists the options. Writes docs/benchmarks/accuracy.md
 /// figures  the figures of docs/method.md, on rendered scenes: takes some minutes. Writes docs/images/score.svg, noise.svg, track.svg

@@ -10,6 +10,7 @@ mod page;
 mod peers;
 mod plot;
 mod score;
+mod sequences;
 mod table;
 
 use std::path::{Path, PathBuf};
@@ -60,6 +61,8 @@ pub struct Args {
     failures: bool,
     #[command(flatten)]
     left_out: left_out::LeftOutArgs,
+    #[command(flatten)]
+    sequences: sequences::SequenceArgs,
     /// Does not change docs/benchmarks.
     #[arg(long)]
     no_docs: bool,
@@ -74,6 +77,9 @@ pub struct Args {
 /// A folder or file that cannot be used, by name; an unknown method; a failure of the other tools.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     check_root(&args.root)?;
+    if args.sequences.is_wanted() {
+        return sequences::run(args);
+    }
     let folder = args.cases.clone().unwrap_or_else(|| args.root.join(OWN_CASES));
     if args.cases.is_none() {
         eprintln!("no --cases given: measuring on the boards of this repository, {OWN_CASES}");

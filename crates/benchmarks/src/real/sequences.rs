@@ -1,0 +1,255 @@
+//! Tracking of real sequences with known truth: every method follows the region of the first frame, as `pb3dp track` does.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, bail};
+use nalgebra::Vector2;
+use pb3dp_estimation::estimator::{EstimatorConfig, FramePrior, Method, Tracker};
+use pb3dp_estimation_core::method::EstimateRequest;
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::region::Region;
+use pb3dp_estimation_core::status::Status;
+use pb3dp_geometry::Pose;
+use pb3dp_geometry::frames::{CamLeft, Model};
+use pb3dp_hal_platform::cpu_time::timed;
+use pb3dp_record::dataset::{Sequence, is_sequence, load_sequence};
+use pb3dp_record::metrics::{MotionErrors, MotionSummary, Statistics, compare_motion, median};
+use serde_json::{Value, json};
+
+use super::{Args, write};
+use crate::common::circumstances::Circumstances;
+
+const KEPT: &str = "out/bench/sequences.json";
+const PAGE: &str = "docs/benchmarks/sequences.md";
+
+/// An `ok` answer with a larger error of the motion is wrong: share of the distance, and angle.
+const WRONG_SHARE: f64 = 0.01;
+const WRONG_DEG: f64 = 5.0;
+
+/// Options of the measurement on sequences.
+#[derive(clap::Args)]
+pub struct SequenceArgs {
+    /// Tracks sequences instead of measuring cases: a sequence folder with true poses, or a folder of such folders; may be repeated.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["cases", "peers", "peer_results", "filter", "failures"])]
+    sequences: Vec<PathBuf>,
+}
+
+impl SequenceArgs {
+    /// Whether the measurement is wanted.
+    pub fn is_wanted(&self) -> bool {
+        !self.sequences.is_empty()
+    }
+}
+
+/// Tracks every sequence with every method, prints the table and saves it.
+///
+/// # Errors
+/// A folder or file that cannot be used, by name; no sequence with truth.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let methods = if args.methods.is_empty() { Method::ALL.to_vec() } else { args.methods.clone() };
+    let mut rows = Vec::new();
+    for folder in folders(&args.sequences.sequences)? {
+        let sequence = load_sequence(&folder)?;
+        let Some(truth) = &sequence.cam_left_from_model else {
+            eprintln!("{}: no truth, skipped", folder.display());
+            continue;
+        };
+        for method in &methods {
+            rows.push(follow(&sequence, truth, *method).with_context(|| format!("{}: {method}", folder.display()))?);
+        }
+    }
+    if rows.is_empty() {
+        bail!("no sequence has a `truth`: nothing to compare with");
+    }
+    let results: Vec<Value> = rows.iter().map(Row::to_json).collect();
+    if args.json {
+        results.iter().for_each(|line| println!("{line}"));
+    } else {
+        print!("{}", table(&rows));
+    }
+    let circumstances = Circumstances::of(&args.root);
+    let kept = json!({"bench": "sequences", "where": circumstances.to_json(), "results": results});
+    write(&args.root, KEPT, &format!("{kept:#}\n"))?;
+    if args.no_docs {
+        return Ok(());
+    }
+    write(&args.root, PAGE, &page(&rows, &circumstances))
+}
+
+/// The sequence folders among the given folders and in them, by name.
+fn folders(given: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
+    let mut found = Vec::new();
+    for folder in given {
+        if is_sequence(folder) {
+            found.push(folder.clone());
+            continue;
+        }
+        let entries =
+            std::fs::read_dir(folder).with_context(|| format!("cannot read --sequences {}", folder.display()))?;
+        let mut inside = entries.map(|entry| Ok(entry?.path())).collect::<std::io::Result<Vec<_>>>()?;
+        inside.retain(|path| is_sequence(path));
+        inside.sort();
+        if inside.is_empty() {
+            bail!("--sequences {}: no sequence.json in it or in a folder in it", folder.display());
+        }
+        found.extend(inside);
+    }
+    Ok(found)
+}
+
+/// What a method has made of a sequence.
+struct Row {
+    sequence: String,
+    method: Method,
+    frames: usize,
+    /// Frames with status `ok`, and those of them that are wrong.
+    ok: usize,
+    wrong_ok: usize,
+    /// Over the frames with a pose; `None` without any.
+    summary: Option<MotionSummary>,
+    /// Absolute error of the motion along the line of sight, metres.
+    depth_m: Option<Statistics>,
+    millis: f64,
+}
+
+fn follow(sequence: &Sequence, truth: &[Pose<CamLeft, Model>], method: Method) -> anyhow::Result<Row> {
+    let calibration = sequence.load_calibration()?;
+    let mut tracker = Tracker::new(method, &calibration.rig, &EstimatorConfig::default())?;
+    let corners = sequence.region_polygon_left_px.iter().map(|[u, v]| Vector2::new(*u, *v));
+    let region = Region::Polygon { vertices_px: corners.collect() };
+    let range = &sequence.search;
+    let range = SearchRange { z_min_m: range.z_min_m, z_max_m: range.z_max_m, tilt_max_rad: range.tilt_max_rad };
+    let (mut poses, mut statuses, mut millis) = (Vec::new(), Vec::new(), Vec::new());
+    for frame in 0..truth.len() {
+        let images = sequence.load_images(frame as u64, calibration.rig.left().size())?;
+        let before_s = frame.checked_sub(1).map(|before| sequence.times_s[before]);
+        let skew_s = sequence.skew_s.get(frame).copied().unwrap_or_default();
+        let prior = FramePrior {
+            dt_s: before_s.map(|before_s| sequence.times_s[frame] - before_s),
+            ..FramePrior::of_skew(skew_s)
+        };
+        // Until a method has a target, the region of the first frame is the best that there is for a target that moves little.
+        let request = match frame == 0 || tracker.wants_region() {
+            true => EstimateRequest::of_target(&images.left, &images.right, &region, &range).with_skew(skew_s),
+            false => EstimateRequest::of_next(&images.left, &images.right, &prior),
+        };
+        let (estimate, ms) = timed(|| tracker.estimate(request));
+        let estimate = estimate?;
+        poses.push(estimate.cam_left_from_model);
+        statuses.push(estimate.status);
+        millis.push(ms);
+    }
+    let errors = compare_motion(&poses, truth);
+    let ok = || errors.iter().zip(&poses).zip(&statuses).filter(|(_, status)| **status == Status::Ok);
+    let is_wrong = |((error, pose), _): &((&Option<MotionErrors>, &Option<Pose<CamLeft, Model>>), &Status)| {
+        error.zip(**pose).is_some_and(|(error, pose)| is_wrong(&error, &pose))
+    };
+    let along = |(error, pose): (&Option<MotionErrors>, &Option<Pose<CamLeft, Model>>)| {
+        let (error, pose) = error.zip(*pose)?;
+        Some(error.translation_m.dot(&pose.translation_m().normalize()).abs())
+    };
+    let depths: Vec<f64> = errors.iter().zip(&poses).filter_map(along).collect();
+    Ok(Row {
+        sequence: sequence.folder.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+        method,
+        frames: truth.len(),
+        ok: ok().count(),
+        wrong_ok: ok().filter(is_wrong).count(),
+        summary: MotionSummary::of(&errors),
+        depth_m: Statistics::of(&depths),
+        millis: median(&millis).unwrap_or_default(),
+    })
+}
+
+fn is_wrong(error: &MotionErrors, pose: &Pose<CamLeft, Model>) -> bool {
+    error.translation_m.norm() > WRONG_SHARE * pose.translation_m().norm()
+        || error.rotation_rad.norm().to_degrees() > WRONG_DEG
+}
+
+const HEADINGS: [&str; 10] = [
+    "sequence",
+    "method",
+    "frames",
+    "with a pose",
+    "ok",
+    "wrong ok",
+    "translation mm med / p95",
+    "depth mm med / p95",
+    "rotation deg med / p95",
+    "ms med",
+];
+
+impl Row {
+    fn cells(&self) -> [String; 10] {
+        let two = |of: Option<&Statistics>, scale: f64| {
+            of.map_or("-".to_owned(), |s| format!("{:.3} / {:.3}", scale * s.median, scale * s.p95))
+        };
+        let summary = self.summary.as_ref();
+        [
+            self.sequence.clone(),
+            self.method.name().to_owned(),
+            self.frames.to_string(),
+            summary.map_or(0, |s| s.frames - s.without_pose).to_string(),
+            self.ok.to_string(),
+            self.wrong_ok.to_string(),
+            two(summary.map(|s| &s.translation_m), 1e3),
+            two(self.depth_m.as_ref(), 1e3),
+            two(summary.map(|s| &s.rotation_rad), 1_f64.to_degrees()),
+            format!("{:.2}", self.millis),
+        ]
+    }
+
+    fn to_json(&self) -> Value {
+        let two = |of: Option<&Statistics>| of.map(|s| [s.median, s.p95]);
+        let summary = self.summary.as_ref();
+        json!({
+            "sequence": self.sequence,
+            "method": self.method.name(),
+            "frames": self.frames,
+            "with_pose": summary.map_or(0, |s| s.frames - s.without_pose),
+            "ok": self.ok,
+            "wrong_ok": self.wrong_ok,
+            "translation_m_median_p95": two(summary.map(|s| &s.translation_m)),
+            "depth_m_median_p95": two(self.depth_m.as_ref()),
+            "rotation_rad_median_p95": two(summary.map(|s| &s.rotation_rad)),
+            "ms_median": self.millis,
+        })
+    }
+}
+
+/// The rows as a table of Markdown, which a terminal shows as well.
+fn table(rows: &[Row]) -> String {
+    let line = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
+    let mut text = line(&HEADINGS.map(str::to_owned));
+    text.push_str(&line(&HEADINGS.map(|_| "---".to_owned())));
+    rows.iter().for_each(|row| text.push_str(&line(&row.cells())));
+    text
+}
+
+fn page(rows: &[Row], circumstances: &Circumstances) -> String {
+    let Circumstances { commit, changed, processor, compiler } = circumstances;
+    let changed = if *changed { ", with uncommitted changes" } else { "" };
+    format!(
+        "\
+# Sequences with known truth
+
+This page is written by the command below; change the program, not the page.
+
+Every method follows the region of the first frame, with its default parameters and the calibration, depth range and times of the sequence.
+Errors are those of the motion since the first frame with a pose, over the frames with a pose; the frame `model` of the truth is another one.
+
+* **wrong ok**: status `ok`, but the motion is off by more than {:.0} % of the distance, or {WRONG_DEG} degrees. A jump by a period of the texture counts.
+* **depth**: the part of the translation error along the line of sight.
+* **ms**: CPU time of one thread per frame, median.
+
+```text
+cargo xtask bench real -- --sequences DIR
+```
+
+Commit {commit}{changed}; {processor}; {compiler}.
+
+{}",
+        100.0 * WRONG_SHARE,
+        table(rows)
+    )
+}
