@@ -89,7 +89,7 @@ fn tracking_within_a_deadline_gives_a_pose_or_says_lost() {
                 EstimateRequest::of_next(&second.left, &second.right, &FramePrior::default()).until(&mut || false),
             )
             .unwrap();
-        assert!(cut.reason.contains("cut short"), "{method}: {}", cut.reason);
+        assert!(cut.reason.contains("cut short") && !cut.reason.contains("inf "), "{method}: {}", cut.reason);
         assert!(cut.cam_left_from_model.is_some() || cut.status == Status::Lost, "{method}: {cut:?}");
         // The published method evaluates its fitness landscape; the direct method evaluates the final step.
         let vouches = cut.covariance.is_some() || cut.status == Status::Ok;

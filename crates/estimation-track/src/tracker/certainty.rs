@@ -67,20 +67,20 @@ impl DirectTracker {
         reason: &mut String,
     ) -> (Status, Option<[bool; 6]>) {
         let limit = self.config.tilt_sigma_sure_deg;
-        let sigma = |axis: usize| covariance.map_or(f64::INFINITY, |c| c[(axis, axis)].sqrt());
+        let Some(covariance) = covariance else {
+            reason.push_str("the normal's standard deviation is unknown: the tilt is not determined");
+            return (Status::WeakTilt, None);
+        };
+        let sigma = |axis: usize| covariance[(axis, axis)].sqrt();
         let most = |axis: usize| if axis < 3 { SHIFT_SIGMA_SURE * distance_m } else { limit.to_radians() };
         let observed: [bool; 6] = std::array::from_fn(|axis| sigma(axis) <= most(axis));
         let tilt_deg = sigma(3).hypot(sigma(4)).to_degrees();
-        let sure = tilt_deg <= limit;
-        let verb = if sure { "is determined" } else { "is not determined" };
+        let (sure, verb) = if tilt_deg <= limit { (true, "is determined") } else { (false, "is not determined") };
         // Writing into a string cannot fail.
         let _ = write!(
             reason,
             "the normal's standard deviation is {tilt_deg:.2} degrees (limit {limit:.2}): the tilt {verb}"
         );
-        if covariance.is_none() {
-            return (Status::WeakTilt, None);
-        }
         let [x, y, depth, _, _, spin] = observed;
         if !(x && y && depth && spin) {
             reason.push_str("; the images do not show");
