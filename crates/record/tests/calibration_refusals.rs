@@ -134,6 +134,13 @@ fn opencv_files() {
     check("image_width", "distortion_model: fisheye\nimage_width", ["stereo.yaml: D1: has 5", "fisheye has 4"]);
     check("735., 0., 318.75", "735., 0., 31875", ["stereo.yaml: M2: cx is 31875", "another image size"]);
     check("-0.31, 0.12,", "-0.31,", ["stereo.yaml: D1.data: has 4 elements", "1 x 5"]);
+    // In two files.
+    let (intrinsics, extrinsics) = text.split_at(text.find("R: !!").unwrap());
+    let extrinsics = format!("%YAML:1.0\n---\n{extrinsics}");
+    let both = [("in.yml", intrinsics), ("ex.yml", &*extrinsics)];
+    self::check(&both[..1], 0, "M2", "M2", ["in.yml: R and T: are missing", "as intrinsics.yml,extrinsics.yml"]);
+    self::check(&both, 0, "M2:", "N2:", ["in.yml: M2: is missing", "cameraMatrix2"]);
+    self::check(&both, 1, "T: !!", "T9: !!", ["ex.yml: T: is missing", "translation"]);
 }
 
 #[test]

@@ -80,7 +80,7 @@ pub(super) fn distortion(
         "none" if numbers.iter().all(|number| *number == 0.0) => Ok(Distortion::None),
         "none" => wrong_count("none"),
         _ => Err(model.refuse(format!(
-            "unknown distortion model {name}; use plumb_bob or radtan, rational_polynomial, equidistant, or none"
+            "unknown distortion model {name}; use plumb_bob or radtan, rational_polynomial, equidistant or fisheye, or none"
         ))),
     }
 }

@@ -90,6 +90,10 @@ pub(super) fn read(
     roots: &[Node<'_>],
     images: Option<ImageSize>,
 ) -> Result<(StereoRig, Vec<String>), CalibrationFileError> {
+    if let ([root], None, None) = (roots, find(roots, &ROTATION), find(roots, &TRANSLATION)) {
+        let reason = "are missing, the pose between the cameras; if a second file has them, give both, as intrinsics.yml,extrinsics.yml";
+        return Err(root.error("R and T", reason));
+    }
     let (size, size_note) = image_size(roots, images)?;
     let cameras = [camera(roots, 0, size)?, camera(roots, 1, size)?];
     let rotation_node = get(roots, &ROTATION)?;
@@ -106,9 +110,12 @@ fn find<'a>(roots: &[Node<'a>], keys: &[&str]) -> Option<Node<'a>> {
 }
 
 fn get<'a>(roots: &[Node<'a>], keys: &[&str]) -> Result<Node<'a>, CalibrationFileError> {
-    find(roots, keys).ok_or_else(|| match (roots, keys) {
-        ([.., last], [first, others @ ..]) => {
-            last.error(first, format!("is missing (other accepted names: {})", others.join(", ")))
+    // Of two files, the one with the cameras has all but the pose.
+    let is_pose = keys == ROTATION || keys == TRANSLATION;
+    let root = roots.iter().find(|root| recognises(root) != is_pose).or(roots.last());
+    find(roots, keys).ok_or_else(|| match (root, keys) {
+        (Some(root), [first, others @ ..]) => {
+            root.error(first, format!("is missing (other accepted names: {})", others.join(", ")))
         }
         _ => CalibrationFileError::Paths { count: roots.len() },
     })
