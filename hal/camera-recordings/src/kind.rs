@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use pb3dp_bag::BagError;
-use pb3dp_bag::pairs::{MarkedRegion, PairOptions, StereoBag};
+use pb3dp_bag::pairs::{MarkedRegion, PAIR_WITHIN, PairOptions, StereoBag};
 use pb3dp_bag::reader::Bag;
 use pb3dp_hal_api::{CameraError, CameraErrorKind};
 use pb3dp_record::calibration_files::{StereoCalibration, load_stereo};
@@ -31,8 +31,40 @@ impl Kind {
     /// Finds the kind of a recording and reads its description.
     ///
     /// # Errors
-    /// Kind `Unusable` if there is no recording, or its description cannot be used.
+    /// Kind `Unusable` if there is no recording, its description cannot be used, or an option has no effect on its kind.
     pub fn of(path: &Path, asked: &RecordingOptions) -> Result<Self, CameraError> {
+        let kind = Self::found(path, asked)?;
+        kind.check(path, asked)?;
+        Ok(kind)
+    }
+
+    /// Refuses the options without effect.
+    fn check(&self, path: &Path, asked: &RecordingOptions) -> Result<(), CameraError> {
+        let is_bag = matches!(self, Self::Bag(_));
+        let is_paired = is_bag || matches!(self, Self::Euroc(_));
+        let without_effect = [
+            ("--topics", asked.topics.is_some() && !is_bag, "only MCAP recordings have topics"),
+            (
+                "--pair-within",
+                asked.pair_within != PAIR_WITHIN && !is_paired,
+                "only the images of MCAP and EuRoC recordings are paired by their times",
+            ),
+            (
+                "--layout",
+                asked.layout.is_some() && !matches!(self, Self::Images),
+                "only the images of plain folders have both views",
+            ),
+        ];
+        match without_effect.into_iter().find(|(_, is_given, _)| *is_given) {
+            Some((option, _, why)) => {
+                let message = format!("{option} has no effect on {}: {why}; leave it out", path.display());
+                Err(CameraError::new(CameraErrorKind::Unusable, message))
+            }
+            None => Ok(()),
+        }
+    }
+
+    fn found(path: &Path, asked: &RecordingOptions) -> Result<Self, CameraError> {
         if is_sequence(path) || is_sequence_file(path) {
             return load_sequence(path).map(Self::Sequence).map_err(|error| unusable(path, error));
         }
@@ -67,8 +99,17 @@ impl Kind {
             ([], Self::Case(case)) => case.load_calibration().map_err(|error| unusable(path, error)),
             ([], Self::Bag(bag)) => bag.calibration().map_err(|error| unusable_bag(path, error)),
             ([], Self::Euroc(cameras)) => euroc::calibration(cameras),
-            ([], Self::Images) => calibration_in(path, &[path.to_path_buf()]),
-            (files, _) => calibration_in(path, files),
+            ([], Self::Images) => load_stereo(&[path.to_path_buf()]).map_err(|error| {
+                let message = format!(
+                    "cannot replay {}: no usable calibration; give one with --calib, or put a calib.json there",
+                    path.display()
+                );
+                CameraError::caused_by(CameraErrorKind::Unusable, message, error)
+            }),
+            (files, _) => load_stereo(files).map_err(|error| {
+                let message = "the calibration of --calib cannot be used".to_owned();
+                CameraError::caused_by(CameraErrorKind::Unusable, message, error)
+            }),
         }
     }
 
@@ -108,14 +149,4 @@ fn unusable(folder: &Path, error: DatasetError) -> CameraError {
 
 fn is_sequence_file(path: &Path) -> bool {
     path.is_file() && path.extension().is_some_and(|extension| extension == "json" || extension == "jsonl")
-}
-
-fn calibration_in(path: &Path, files: &[PathBuf]) -> Result<StereoCalibration, CameraError> {
-    load_stereo(files).map_err(|error| {
-        let message = format!(
-            "cannot replay {}: no usable calibration; give one with --calib, or put a calib.json there",
-            path.display()
-        );
-        CameraError::caused_by(CameraErrorKind::Unusable, message, error)
-    })
 }

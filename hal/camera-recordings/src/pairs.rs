@@ -10,7 +10,7 @@ use pb3dp_camera_settings::ImageLayout;
 use pb3dp_geometry::{ImageSize, MonotonicTime};
 use pb3dp_hal_api::{CameraError, CameraErrorKind};
 use pb3dp_record::dataset::Sequence;
-use pb3dp_record::images::{ImageFileError, StoredImage, check_size};
+use pb3dp_record::images::{ImageFileError, ImageProblem, StoredImage, check_size};
 use pb3dp_record::value_range::ValueRange;
 
 use crate::bag::BagImages;
@@ -51,6 +51,26 @@ impl RecordedPairs {
     /// # Errors
     /// As [`Self::open`].
     pub fn of(path: &Path, kind: &Kind, asked: &RecordingOptions, period: Duration) -> Result<Self, CameraError> {
+        let pairs = Self::found(path, kind, asked, period)?;
+        pairs.check_range()?;
+        Ok(pairs)
+    }
+
+    /// Refuses a range of values for files that have 8 bits.
+    fn check_range(&self) -> Result<(), CameraError> {
+        let file = match &self.source.pair(0).place {
+            Place::Files(file, _) | Place::Both(file, _) if self.range.is_some() => file,
+            _ => return Ok(()),
+        };
+        // A damaged one is reported where it is used.
+        if StoredImage::load(file).is_ok_and(|image| !image.is_deep()) {
+            let message = format!("--range has no effect: {} has 8 bits per channel; leave it out", file.display());
+            return Err(CameraError::new(CameraErrorKind::Unusable, message));
+        }
+        Ok(())
+    }
+
+    fn found(path: &Path, kind: &Kind, asked: &RecordingOptions, period: Duration) -> Result<Self, CameraError> {
         let source = match kind {
             Kind::Sequence(sequence) => {
                 let warnings = warnings_of(sequence);
@@ -197,12 +217,16 @@ impl RecordedPairs {
     /// The images of the pair with this number, from 0. `expected` is the size that they must have, with what requires it.
     ///
     /// # Errors
-    /// Kind `BadPair` with the file and what is wrong with it.
+    /// Kind `BadPair` with the file and what is wrong with it; kind `Unusable` if the first pair has another size.
     pub fn images(&mut self, number: u64, expected: Option<(ImageSize, &str)>) -> Result<[RgbImage; 2], CameraError> {
         let name = &self.name;
         let bad_pair = |error: ImageFileError| {
-            let message = format!("{name}: pair {number} is skipped: {}", error.file.display());
-            CameraError::caused_by(CameraErrorKind::BadPair, message, error)
+            // A calibration of another size suits no pair.
+            let (kind, what) = match (number, &error.problem) {
+                (0, ImageProblem::Size { .. }) => (CameraErrorKind::Unusable, "the recording is not used".to_owned()),
+                _ => (CameraErrorKind::BadPair, format!("pair {number} is skipped: {}", error.file.display())),
+            };
+            CameraError::caused_by(kind, format!("{name}: {what}"), error)
         };
         let (images, notes) = match &self.source.pair(number).place {
             Place::Files(left, right) => {

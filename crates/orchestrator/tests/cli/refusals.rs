@@ -66,6 +66,37 @@ fn options_of_recordings_are_refused_for_two_images_and_for_cases() {
 }
 
 #[test]
+fn options_without_effect_on_a_recording_are_refused() {
+    let case = real_cases().join("bb201_c0");
+    let options = [["--topics", "/l,/r"], ["--pair-within", "4"], ["--layout", "side-by-side"], ["--range", "0,4095"]];
+    for command in ["track", "estimate"] {
+        for option in options {
+            pb3dp(&words(&[&command, &"--sequence", &case, &option[0], &option[1]])).assert_refused(&[
+                &format!("{} has no effect", option[0]),
+                "bb201_c0",
+                "leave it out",
+            ]);
+        }
+    }
+}
+
+#[test]
+fn a_calibration_of_another_size_ends_track_at_once() {
+    let pair = Pair::new();
+    let text = std::fs::read_to_string(pair.file("calib.json")).unwrap();
+    let (wrong, folder) = (pair.file("wrong.json"), pair.dir.path().join("images"));
+    std::fs::write(&wrong, replaced(&text, "[640", "[800")).unwrap();
+    std::fs::create_dir(&folder).unwrap();
+    for (from, to) in ["left", "right"].into_iter().flat_map(|side| [0, 1].map(|n| (side, format!("{side}_{n}.png")))) {
+        std::fs::copy(pair.file(&format!("{from}.png")), folder.join(to)).unwrap();
+    }
+    let refused =
+        pb3dp(&words(&[&"track", &"--sequence", &folder, &"--calib", &wrong, &"--region", &REGION, &"--json"]));
+    refused.assert_refused(&["the recording is not used", "640x480", "wrong.json", "800x480"]);
+    assert_eq!((refused.stdout.as_str(), refused.stderr.matches("ERROR").count()), ("", 1), "{}", refused.stderr);
+}
+
+#[test]
 fn an_access_without_a_panel_is_refused() {
     let run = words(&[&"run", &"--config", &"sim", &"--panel-token", &"absent"]);
     pb3dp(&run).assert_refused(&["--panel", "required"]);
