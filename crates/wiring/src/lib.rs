@@ -24,7 +24,7 @@ use anyhow::{Result, bail};
 use clap::ValueEnum;
 use pb3dp_arm_pa10::arm::{ArmMonitor, VirtualTime};
 use pb3dp_camera_replay::{Pacing, Repeat, ReplayOptions};
-pub use pb3dp_camera_replay::{RecordedPairs, Recording, RecordingOptions, Topics};
+pub use pb3dp_camera_replay::{RecordedPairs, Recording, RecordingOptions, Topics, calibration_of};
 use pb3dp_camera_settings::StereoConfig;
 use pb3dp_camera_v4l2::ReopeningCamera;
 use pb3dp_camera_v4l2::linux::Linux;

@@ -125,6 +125,15 @@ impl Kind {
     }
 }
 
+/// The calibration that a recording contains.
+///
+/// # Errors
+/// As [`Kind::of`], and as [`Kind::calibration`].
+pub fn calibration_of(path: &Path, asked: &RecordingOptions) -> Result<StereoCalibration, CameraError> {
+    let path = folder_of(path);
+    Kind::of(path, asked)?.calibration(path, &[])
+}
+
 /// The recording at a path: the description of a bag stands for its folder.
 pub fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|_| path.is_file() && path.ends_with("metadata.yaml")).unwrap_or(path)

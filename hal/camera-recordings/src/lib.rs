@@ -12,6 +12,6 @@ mod options;
 mod pairs;
 mod source;
 
-pub use kind::{Kind, folder_of};
+pub use kind::{Kind, calibration_of, folder_of};
 pub use options::{RecordingOptions, Topics};
 pub use pairs::{PERIOD, RecordedPairs};

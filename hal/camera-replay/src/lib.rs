@@ -19,7 +19,7 @@ use pb3dp_hal_api::{CameraError, CameraErrorKind, FramePair, StereoCamera, Stere
 use pb3dp_record::calibration_files::StereoCalibration;
 
 pub use pacing::{Pacing, Stepper};
-pub use pb3dp_camera_recordings::{RecordedPairs, RecordingOptions, Topics};
+pub use pb3dp_camera_recordings::{RecordedPairs, RecordingOptions, Topics, calibration_of};
 pub use recording::Recording;
 
 /// Behaviour after the last pair.

@@ -6,8 +6,9 @@ use std::process::ExitCode;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use pb3dp_cell::terminal::print_line;
+use pb3dp_record::calibration_files::{save_json, save_judged};
 use pb3dp_record::images::{StoredFormat, save};
-use pb3dp_wiring::{RecordedPairs, RecordingOptions};
+use pb3dp_wiring::{RecordedPairs, RecordingOptions, calibration_of};
 
 use crate::progress::Progress;
 
@@ -17,7 +18,8 @@ pub struct ExtractArgs {
     /// The recording, of any kind that `pb3dp track --sequence` reads.
     #[arg(value_name = "PATH")]
     recording: PathBuf,
-    /// Folder for the images: left/000000.png, right/000000.png and so on; it must be empty or new.
+    /// Folder for the images: left/000000.png, right/000000.png and so on, with the calibration of the recording, if it has one. It must be
+    /// empty or new.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Only each N-th pair.
@@ -40,6 +42,7 @@ pub fn run(args: &ExtractArgs) -> Result<ExitCode> {
     for folder in &folders {
         std::fs::create_dir_all(folder).with_context(|| format!("--out {}: cannot be created", folder.display()))?;
     }
+    write_calibration(args)?;
     for warning in pairs.take_warnings() {
         tracing::warn!("{warning}");
     }
@@ -65,4 +68,28 @@ pub fn run(args: &ExtractArgs) -> Result<ExitCode> {
     drop(progress);
     print_line(&format!("{}: {} pairs of {count}", args.out.display(), count.div_ceil(args.every) - damaged))?;
     Ok(if damaged > 0 { ExitCode::FAILURE } else { ExitCode::SUCCESS })
+}
+
+/// Writes the calibration of the recording beside the images, where `--calib` and `track --sequence` find it.
+fn write_calibration(args: &ExtractArgs) -> Result<()> {
+    let calibration = match calibration_of(&args.recording, &args.how) {
+        Ok(calibration) => calibration,
+        Err(error) => {
+            tracing::info!("no calibration is written: {:#}", anyhow::Error::new(error));
+            return Ok(());
+        }
+    };
+    if let Some(statement) = &calibration.not_measured {
+        tracing::info!("no calibration is written: that of the recording is not measured ({statement})");
+        return Ok(());
+    }
+    let name = if calibration.judgement.is_some() { "calibration.toml" } else { "calib.json" };
+    let file = args.out.join(name);
+    match &calibration.judgement {
+        Some(judgement) => save_judged(&calibration.rig, judgement, &file),
+        None => save_json(&calibration.rig, &file),
+    }
+    .with_context(|| format!("the calibration of {}", args.recording.display()))?;
+    tracing::info!("{}: the calibration of the recording", file.display());
+    Ok(())
 }

@@ -301,6 +301,11 @@ fn a_recorded_run_can_be_tracked() {
         assert!(tracked.stderr.contains("motion error"), "{}", tracked.stderr);
         assert_eq!(tracked.stderr.contains("normal is not observed"), !observed, "{method}: {}", tracked.stderr);
     }
+    // Also as images with their calibration.
+    let images = dir.path().join("images");
+    pb3dp(&words(&[&"extract", &recording, &"--out", &images])).assert_success();
+    let region = "rect:120,90,80,60";
+    pb3dp(&words(&[&"track", &"--sequence", &images, &"--region", &region])).assert_success();
     // Before an arm is enabled, and before the report of the run before is lost.
     let report = std::fs::read(out.join("summary.json")).unwrap();
     let refused = run();
