@@ -159,8 +159,19 @@ impl BufRead for TypedInput {
 pub fn parse_seconds(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(seconds) if seconds > 0.0 && seconds <= 1e6 => Ok(seconds),
-        _ => Err(format!("{text:?} is not a number of seconds above 0, up to 1000000")),
+        _ => Err(with_unit(text, "seconds", &["s", "sec"])
+            .unwrap_or_else(|| format!("{text:?} is not a number of seconds above 0, up to 1000000"))),
     }
+}
+
+/// The message for a number with a unit, where a number of `unit` without one is wanted; names the number if its unit is one of
+/// `symbols`. `None` for other texts.
+pub fn with_unit(text: &str, unit: &str, symbols: &[&str]) -> Option<String> {
+    let number = text.trim_end_matches(|c: char| c.is_alphabetic() || c == '°').trim_end();
+    let symbol = text[number.len()..].trim_start();
+    number.parse::<f64>().ok().filter(|_| !symbol.is_empty())?;
+    let bare = if symbols.contains(&symbol) { format!(": {number}") } else { String::new() };
+    Some(format!("{text:?}: give the number in {unit}, without a unit{bare}"))
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{ArgGroup, Args};
 use pb3dp_bag::live::ViewerAddress;
-use pb3dp_cell::terminal::parse_seconds;
+use pb3dp_cell::terminal::{parse_seconds, with_unit};
 use pb3dp_estimation::estimator::Method;
 use pb3dp_panel::PanelAddress;
 use pb3dp_record::dataset::TILT_LIMIT_DEG;
@@ -92,7 +92,7 @@ pub struct MethodArgs {
     /// A TOML file with all parameters of the method (copy configs/estimator.toml); the documented defaults without it.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Seed of the search, instead of that of the configuration.
+    /// Seed of the search, instead of that of the configuration; without effect on the method direct.
     #[arg(long, value_name = "N", value_parser = parse_seed, allow_hyphen_values = true)]
     pub seed: Option<u64>,
     /// Depths to search, millimetres; overrides the case or sequence.
@@ -114,6 +114,15 @@ pub struct MethodArgs {
     /// sequence.png.
     #[arg(long, value_name = "DIR")]
     pub overlay: Option<PathBuf>,
+}
+
+impl MethodArgs {
+    /// Warns of options that the method ignores.
+    pub fn warn_without_effect(&self) {
+        if self.seed.is_some() && self.method == Method::Direct {
+            tracing::warn!("--seed has no effect: the method {} always gives the same answer", self.method);
+        }
+    }
 }
 
 /// Meaning of the numbers of `pb3dp estimate --json`.
@@ -252,15 +261,24 @@ fn method_parser() -> impl TypedValueParser<Value = Method> {
 pub(crate) fn parse_z_range(text: &str) -> Result<ZRange, String> {
     let refuse = || format!("{text:?} is not MIN,MAX in millimetres with 0 < MIN < MAX, for instance 350,650");
     let (min, max) = text.split_once(',').ok_or_else(refuse)?;
-    match (min.trim().parse::<f64>(), max.trim().parse::<f64>()) {
-        (Ok(min), Ok(max)) if min > 0.0 && min < max && max < 20.0 => {
-            Err(format!("{text:?} is in millimetres; did you mean {},{}?", 1e3 * min, 1e3 * max))
-        }
-        (Ok(min_mm), Ok(max_mm)) if min_mm > 0.0 && min_mm < max_mm && max_mm.is_finite() => {
-            Ok(ZRange { min_mm, max_mm })
-        }
-        _ => Err(refuse()),
+    let bare = |depth: &str| depth.trim().trim_end_matches("mm").trim_end().parse::<f64>();
+    let (Ok(first), Ok(second)) = (bare(min), bare(max)) else { return Err(refuse()) };
+    let (min_mm, max_mm) = (first.min(second), first.max(second));
+    if !(min_mm > 0.0 && min_mm < max_mm && max_mm.is_finite()) {
+        return Err(refuse());
     }
+    if text.contains("mm") {
+        return Err(format!("{text:?}: give the numbers in millimetres, without a unit: {min_mm},{max_mm}"));
+    }
+    if max_mm < 20.0 {
+        return Err(format!("{text:?} is in millimetres; did you mean {},{}?", 1e3 * min_mm, 1e3 * max_mm));
+    }
+    if first > second {
+        return Err(format!(
+            "{text:?} is not MIN,MAX in millimetres: MIN comes first; did you mean {min_mm},{max_mm}?"
+        ));
+    }
+    Ok(ZRange { min_mm, max_mm })
 }
 
 fn parse_seed(text: &str) -> Result<u64, String> {
@@ -270,14 +288,16 @@ fn parse_seed(text: &str) -> Result<u64, String> {
 pub(crate) fn parse_tilt(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(degrees) if (0.0..=TILT_LIMIT_DEG).contains(&degrees) => Ok(degrees),
-        _ => Err(format!("{text:?}: must be between 0 and {TILT_LIMIT_DEG} degrees")),
+        _ => Err(with_unit(text, "degrees", &["deg", "degrees", "°"])
+            .unwrap_or_else(|| format!("{text:?}: must be between 0 and {TILT_LIMIT_DEG} degrees"))),
     }
 }
 
 fn parse_deadline(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(millis) if (0.0..=1e6).contains(&millis) => Ok(millis),
-        _ => Err(format!("{text:?}: must be between 0 and 1000000 milliseconds")),
+        _ => Err(with_unit(text, "milliseconds", &["ms"])
+            .unwrap_or_else(|| format!("{text:?}: must be between 0 and 1000000 milliseconds"))),
     }
 }
 
@@ -289,7 +309,17 @@ mod tests {
     fn ranges_are_checked() {
         assert_eq!(parse_z_range("350, 650"), Ok(ZRange { min_mm: 350.0, max_mm: 650.0 }));
         assert!(parse_z_range("0.25,0.55").unwrap_err().contains("millimetres; did you mean 250,550?"));
-        for bad in ["350", "650,350", "-1,5", "a,b", "1,inf"] {
+        for (text, meant) in [
+            ("540,265", "MIN comes first; did you mean 265,540?"),
+            ("350mm, 650 mm", "in millimetres, without a unit: 350,650"),
+        ] {
+            assert!(parse_z_range(text).is_err_and(|error| error.contains(meant)), "{text}");
+        }
+        assert!(parse_tilt("60deg").unwrap_err().ends_with("in degrees, without a unit: 60"));
+        assert!(parse_deadline("20 ms").unwrap_err().ends_with("in milliseconds, without a unit: 20"));
+        assert!(parse_deadline("1s").unwrap_err().ends_with("in milliseconds, without a unit"));
+        assert!(parse_seconds("10s").unwrap_err().ends_with("in seconds, without a unit: 10"));
+        for bad in ["350", "650,650", "-1,5", "a,b", "1,inf"] {
             assert!(parse_z_range(bad).unwrap_err().contains("MIN,MAX"), "{bad}");
         }
         assert!(

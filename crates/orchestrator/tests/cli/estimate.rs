@@ -272,6 +272,8 @@ fn the_same_seed_gives_the_same_lines() {
     };
     assert_eq!(line("5"), line("5"));
     assert_ne!(line("5"), line("6"), "the seed reaches the search");
+    let direct = pb3dp(&words(&[&"estimate", &"--cases", &real_cases(), &"--seed", &"5"])).assert_success();
+    assert!(direct.stderr.contains("--seed has no effect: the method direct"), "{}", direct.stderr);
 }
 
 fn write_grey_case(folder: &Path, pair: &OnePair) {

@@ -55,6 +55,7 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
             bail!("--surface {}: is an input of this command: give another name", input.display());
         }
     }
+    args.method.warn_without_effect();
     let config = estimator_config(args.method.config.as_deref(), args.method.seed)?;
     let mut overlays = Overlays::open(args.method.overlay.as_deref())?;
     let jobs: Vec<Source> = match (&args.cases, &args.sequence) {

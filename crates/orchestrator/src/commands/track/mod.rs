@@ -44,6 +44,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     if let Some(file) = &args.surface {
         check_cloud("--surface", file)?;
     }
+    args.method.warn_without_effect();
     let mut recording = wire_replay(&args.sequence, &args.calib, &args.recording, args.pace).context("--sequence")?;
     for note in recording.notes.iter().chain(&recording.camera.calibration().notes) {
         tracing::info!("{note}");
