@@ -34,6 +34,28 @@ pub fn check_cloud(option: &str, file: &Path) -> Result<()> {
     check_writable(option, file)
 }
 
+/// Endings of files that nobody gives to a folder: slips of `mcap`, and other formats.
+const NO_FOLDERS: [&str; 16] = [
+    "mcp", "cap", "map", "mca", "macp", "mcpa", "mcapp", "mmcap", "bag", "db3", "zip", "tar", "json", "csv", "avi",
+    "mp4",
+];
+
+/// Refuses the name of a recording that would be a folder, but looks like a file.
+///
+/// # Errors
+/// As said.
+pub fn check_recording_name(option: &str, path: &Path) -> Result<()> {
+    let ending = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    if NO_FOLDERS.contains(&ending.as_str()) && !is_folder(path) {
+        bail!(
+            "{option} {}: a recording is one file with the ending .mcap, or a folder; use {}, or a name without .{ending}",
+            path.display(),
+            path.with_extension("mcap").display()
+        );
+    }
+    Ok(())
+}
+
 /// Whether it is a folder, or looks like one.
 fn is_folder(file: &Path) -> bool {
     file.is_dir() || file.as_os_str().as_encoded_bytes().ends_with(b"/")

@@ -29,6 +29,7 @@ use pb3dp_wiring::{RunNeeds, Wired, accept_nominal, wire_run, write_flights};
 
 use crate::arguments::{OperatorName, RunArgs, UNSURE};
 use crate::commands::attendance::Attendance;
+use crate::commands::output_file::check_recording_name;
 use crate::commands::panel_of_run;
 use crate::commands::result_folder::ResultFolder;
 use crate::logging::last_words;
@@ -44,7 +45,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     let region = args.region.as_ref().map(ToString::to_string);
     let asked = args.setup.clone().with("--seed", "run.seed", seed).with("--region", "camera.region", region);
     let mut setup = read_layers(&asked)?;
-    accept_nominal(&mut setup, args.nominal_calibration);
+    take_options_of_real_arms(args, &mut setup);
     // Before a port opens.
     let records = check_arms(&setup, SystemTime::now())?;
     let panel_config = args.panel.map(|address| args.panel_access.config(address)).transpose()?;
@@ -107,6 +108,19 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     })
 }
 
+/// Options of real arms; with emulated ones they only give a warning, because one command line serves a rig and its simulation.
+fn take_options_of_real_arms(args: &RunArgs, setup: &mut Setup) {
+    if !setup.is_emulated() {
+        accept_nominal(setup, args.nominal_calibration);
+        return;
+    }
+    for (option, is_given) in [("--move", args.moves), ("--nominal-calibration", args.nominal_calibration)] {
+        if is_given {
+            tracing::warn!("{option} has no effect: the arms of this setup are emulated");
+        }
+    }
+}
+
 /// Who gets the messages of the run. The newest seconds are held in live runs, for a file at each fault.
 fn sinks(args: &RunArgs, setup: &Setup, file: Option<&Path>) -> Result<Sinks> {
     let when_full = if setup.pace == Pace::Fast { WhenFull::Wait } else { WhenFull::Drop };
@@ -121,8 +135,9 @@ fn sinks(args: &RunArgs, setup: &Setup, file: Option<&Path>) -> Result<Sinks> {
     Ok(Sinks::new(writer, recent, live))
 }
 
-/// Refuses to overwrite an earlier recording.
+/// Refuses to overwrite an earlier recording, and names of folders that look like files.
 fn check_recording(path: &Path, args: &RunArgs) -> Result<()> {
+    check_recording_name("--record", path)?;
     match is_file(path) {
         true if path.exists() => Err(BagError::Exists { file: path.to_path_buf() }).context("--record"),
         true => create_parent(path).context("--record"),

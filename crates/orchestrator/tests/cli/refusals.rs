@@ -97,6 +97,15 @@ fn a_calibration_of_another_size_ends_track_at_once() {
 }
 
 #[test]
+fn a_recording_with_the_ending_of_another_file_is_refused() {
+    let out = tempfile::tempdir().unwrap();
+    let file = out.path().join("run.mcp");
+    let run = pb3dp(&words(&[&"run", &"--config", &"sim", &"--out", &out.path().join("out"), &"--record", &file]));
+    run.assert_refused(&["--record", "run.mcap, or a name without .mcp"]);
+    assert!(!file.exists());
+}
+
+#[test]
 fn an_access_without_a_panel_is_refused() {
     let run = words(&[&"run", &"--config", &"sim", &"--panel-token", &"absent"]);
     pb3dp(&run).assert_refused(&["--panel", "required"]);

@@ -103,8 +103,12 @@ fn a_run_without_images_says_so_and_needs_none() {
             vec![&"run", &"--config", &config, &"--out", &out, &"--stop-after", &"1.0"];
         pb3dp(&words(&[&begin[..], more].concat()))
     };
-    let finished = run(&[]).assert_success();
+    let finished = run(&[&"--move", &"--nominal-calibration"]).assert_success();
     assert!(finished.stdout.contains("no image was rendered"), "{}", finished.stdout);
+    for option in ["--move", "--nominal-calibration"] {
+        let warning = format!("{option} has no effect: the arms of this setup are emulated");
+        assert!(finished.stderr.contains(&warning), "{}", finished.stderr);
+    }
     let page = std::fs::read_to_string(out.join("report.html")).unwrap();
     assert!(page.contains("No image was rendered") && !page.contains("data:image/"), "no images in the page");
     let text = std::fs::read_to_string(out.join("summary.json")).unwrap();

@@ -33,6 +33,7 @@ use super::choice::{CameraChoice, Chosen, ChosenTarget, check_size};
 use super::stop_requested;
 use crate::arguments::{ZRange, parse_tilt, parse_z_range};
 use crate::commands::doctor::free_bytes;
+use crate::commands::output_file::check_recording_name;
 
 /// Meaning of exit code and `--json`.
 const RECORD_JSON: &str =
@@ -132,6 +133,7 @@ fn recorded(
     args: &RecordArgs,
     is_over: &mut dyn FnMut() -> bool,
 ) -> Result<Recorded> {
+    check_recording_name("--out", &args.out)?;
     let Chosen { config, rig, target, .. } = args.cameras.chosen()?;
     if is_file(&args.out) {
         file::check_options(args)?;
