@@ -147,6 +147,14 @@ impl ConfigFile {
         };
         let mut lines: Vec<String> = keys.iter().chain(&refused).map(located).collect();
         let missing = keys.iter().filter(|line| line.contains(MISSING)).count();
+        let is_of_arms = |line: &String| line.starts_with("arms.") && line.contains(MISSING);
+        if self.wanted == FileKind::Setup && self.layers.has_base() && keys.iter().any(is_of_arms) {
+            lines.push(
+                "  no built-in setup has these keys of real arms; `pb3dp config init arms` prints a file with all of them (with real \
+                 cameras: `pb3dp config init rig`)"
+                    .to_owned(),
+            );
+        }
         if self.wanted == FileKind::Setup && missing > 0 && !self.layers.has_base() {
             lines.push(
                 "  add the first line base = \"sim\" to take all other values from this built-in setup (also: hil)"

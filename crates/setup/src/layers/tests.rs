@@ -103,6 +103,7 @@ fn a_real_arm_takes_nothing_from_a_built_in_setup() {
         for key in ["mounts", "arms.vs.operating_range_deg", "arms.vs.acceleration_max_rad_per_s2", "arms.vs.gateway"] {
             assert!(text.contains(&format!("{key}: missing")), "{base}, {key}: {text}");
         }
+        assert!(text.contains("`pb3dp config init arms` prints a file with all of them"), "{base}: {text}");
     }
     // The example of a rig states all of it, and what it leaves out of speed is slow.
     let example = built_in::RIG_EXAMPLE.replace("speed_scale = 0.10 ", "# ").replace("first_run = true ", "# ");
