@@ -25,6 +25,14 @@ impl CommandSummary {
     }
 }
 
+/// What a count of changes means.
+const CHANGES: &str = "Changes by the limiter are normal: it keeps the limits of speed, acceleration, jerk and range (docs/arm-limits.md).";
+
+/// The counts in words.
+pub fn paragraph() -> String {
+    format!("Velocity commands per arm. {CHANGES} A refused command makes the arm hold.")
+}
+
 /// The counts as a report table.
 pub fn table(commands: &[CommandSummary]) -> Table {
     let headings = Table::new(["arm", "velocities", "changed by the limiter", "refused"]);
@@ -39,5 +47,7 @@ pub fn text_lines(commands: &[CommandSummary]) -> String {
         let what = format!("{name}, velocities");
         format!("{what:<34} {velocities}, {changed} changed by the limiter, {refused} refused\n")
     };
-    commands.iter().map(line).collect()
+    let has_changes = commands.iter().any(|command| command.changed > 0);
+    let note = has_changes.then(|| format!("{CHANGES}\n"));
+    commands.iter().map(line).chain(note).collect()
 }

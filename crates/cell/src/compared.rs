@@ -14,6 +14,7 @@ use pb3dp_setup::setup::Setup;
 
 use super::log::{FrameSample, MethodLog};
 use crate::follower::Follower;
+use crate::perception::NOT_SELECTED;
 
 /// One compared method.
 pub struct Onlooker {
@@ -62,6 +63,9 @@ impl Onlooker {
     }
 }
 
+/// Status word in the results of a run for frames before a target is selected: nothing is lost in them.
+pub const NO_TARGET: &str = "no-target";
+
 /// One pair with the information about it.
 pub struct Frame<'a> {
     /// Seconds since the experiment began.
@@ -98,7 +102,10 @@ impl MethodLog {
         self.truth.extend(frame.cam_left_from_target.as_ref().map(Pose::relabel));
         self.frames.push(FrameSample {
             t_s: frame.t_s,
-            status: estimate.status.to_string(),
+            status: match estimate.reason.as_str() {
+                NOT_SELECTED => NO_TARGET.to_owned(),
+                _ => estimate.status.to_string(),
+            },
             fitness: estimate.fitness,
             depth_error_m: errors.map(|(depth_m, _)| depth_m),
             normal_error_rad: errors.map(|(_, normal_rad)| normal_rad),
@@ -121,5 +128,24 @@ impl MethodLog {
             age_millis: None,
             covariance: None,
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use pb3dp_estimation_core::status::Status;
+
+    use super::*;
+
+    #[test]
+    fn frames_before_a_selection_are_not_lost() {
+        let mut log = MethodLog::new(Method::Direct);
+        let prior = FramePrior::default();
+        let frame = Frame { t_s: 0.0, region: None, prior: &prior, cam_left_from_target: None, age_millis: None };
+        for reason in [NOT_SELECTED, "out of sight"] {
+            log.push(&frame, &TrackEstimate::without_pose(Status::Lost, reason.to_owned()), 1.0);
+        }
+        let statuses: Vec<_> = log.frames.iter().map(|frame| frame.status.as_str()).collect();
+        assert_eq!(statuses, [NO_TARGET, "lost"]);
     }
 }

@@ -4,7 +4,7 @@ use nalgebra::Vector6;
 use pb3dp_geometry::frames::{CamLeft, Hand, Model, Target, World};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_kinematics::{Chain, smallest_singular_value};
-use pb3dp_servo::supervisor::{Event, State};
+use pb3dp_servo::supervisor::{Condition, Event, State, Why};
 use pb3dp_setup::setup::Setup;
 
 use super::cell::SimulatedCell;
@@ -18,6 +18,9 @@ use super::supervision::TransitionNote;
 
 /// Interval of progress messages, seconds of the experiment.
 const PROGRESS_EVERY_S: f64 = 5.0;
+
+/// Time after the begin in which it is no news that the first pair is on its way, seconds. Chosen: the slowest camera delivers ten pairs.
+const FIRST_PAIR_WITHIN_S: f64 = 1.0;
 
 /// Result of a run.
 pub struct Outcome {
@@ -80,7 +83,7 @@ impl Journal {
             chain: setup.rig.arms.vs.chain.clone(),
             begin,
             duration_s,
-            next_progress_s: 0.0,
+            next_progress_s: PROGRESS_EVERY_S,
             steps_untrue: 0,
             is_quiet: false,
             log: RunLog { without_images: !setup.leader.needs_images(), without_truth: setup.world.is_none(), ..log },
@@ -157,6 +160,9 @@ impl Journal {
                 State::Holding if note.event == Event::Hold.name() => tracing::info!("{t_s:7.2} s  {}", note.why),
                 State::Holding | State::Lost | State::Stopped => tracing::warn!("{t_s:7.2} s  {}", note.why),
                 State::Fault => tracing::error!("{t_s:7.2} s  {}", note.why),
+                State::Selecting if t_s < FIRST_PAIR_WITHIN_S && awaits_first_pair(&moved.decision.why) => {
+                    tracing::info!("{t_s:7.2} s  selecting: waiting for the first pair")
+                }
                 _ => tracing::info!("{t_s:7.2} s  {}", note.why),
             }
         }
@@ -199,6 +205,10 @@ fn mean_place(log: &MethodLog, until_s: f64) -> Option<Pose<Target, Model>> {
     let (sum, count) = places
         .fold((Vector6::zeros(), 1.0), |(sum, count), place| (sum + (first.inverse() * place).log(), count + 1.0));
     Some(first.perturbed_in_from(&(sum / count)))
+}
+
+fn awaits_first_pair(why: &Why) -> bool {
+    matches!(why, Why::Waiting { cause } if cause.condition == Condition::FrameStale && cause.value.is_infinite())
 }
 
 #[cfg(test)]

@@ -209,7 +209,7 @@ fn page(outcome: &Outcome, summary: &RunSummary, world_from_axes: &UnitQuaternio
         .table(&methods::table(&summary.methods))
         .panels(&methods::panels(log))
         .heading("Commands")
-        .paragraph("Velocity commands per arm: changed by the limiter to keep its limits, and refused.")
+        .paragraph(&commands::paragraph())
         .table(&commands::table(&summary.commands));
     let report = with_cycles(report, summary).heading("Errors over time").panels(&errors);
     with_images(with_drift(report, summary), &strip)
@@ -434,7 +434,7 @@ fn locked_table(summary: &RunSummary) -> Table {
 
 /// Text about the initial pose error.
 fn lock_note(summary: &RunSummary) -> String {
-    let Some(lock) = &summary.lock else { return "There was no initial lock.".to_owned() };
+    let Some(lock) = &summary.lock else { return summary.why_no_lock().to_owned() };
     let stated = match lock.tilt_sigma_deg.zip(lock.hand_by_tilt_sigma_mm) {
         Some((deg, mm)) => {
             format!("; stated standard deviation: {mm:.1} mm at the hand, {deg:.2} deg tilt")

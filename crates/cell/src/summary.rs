@@ -12,6 +12,7 @@ use serde::Serialize;
 
 use super::channels::{self, ChannelSummary, LockedErrors, Plan};
 use super::commands::CommandSummary;
+use super::compared::NO_TARGET;
 use super::cycles::CycleSummary;
 use super::drift::DriftSummary;
 use super::log::{ControlSample, Lock, RunLog};
@@ -104,6 +105,16 @@ impl LockSummary {
             tilt_deg: normals[0].angle(&normals[1]).to_degrees(),
             tilt_sigma_deg: tilt_sigma_rad.map(f64::to_degrees),
             hand_by_tilt_sigma_mm: tilt_sigma_rad.map(|sigma| model_from_hand.translation_m().norm() * sigma * 1e3),
+        }
+    }
+}
+
+impl RunSummary {
+    /// Why there is no initial lock.
+    pub fn why_no_lock(&self) -> &'static str {
+        match self.frames_by_status.get(NO_TARGET) {
+            Some(frames) if *frames == self.frames => "No target was selected: the hand had nothing to follow.",
+            _ => "There was no initial lock.",
         }
     }
 }

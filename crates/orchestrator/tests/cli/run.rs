@@ -69,6 +69,7 @@ fn a_run_leaves_report_summary_and_time_series() {
         assert!(commands["name"] == name && changed <= velocities && refused == 0, "{commands}");
         let line = format!("{velocities}, {changed} changed by the limiter, 0 refused");
         assert!(finished.stdout.contains(&line), "{line} in {}", finished.stdout);
+        assert!([&finished.stdout, &page].iter().all(|text| text.contains("Changes by the limiter are normal")));
         assert!(page.contains(&format!("<td>{name}</td>")), "the page has a line of {name}");
     }
     let supervisor = &summary["summary"]["supervisor"];
@@ -82,7 +83,9 @@ fn a_run_leaves_report_summary_and_time_series() {
         assert!(page.contains(&line.replace('<', "&lt;")), "{line} is not in the page");
     }
     assert!(
-        finished.stdout.contains("supervisor") && finished.stderr.contains("s  approaching"),
+        finished.stdout.contains("supervisor")
+            && finished.stderr.contains("s  approaching")
+            && !finished.stderr.contains("[PB3DP-"),
         "{}",
         finished.stderr
     );
