@@ -140,21 +140,19 @@ fn follow(sequence: &Sequence, truth: &[Pose<CamLeft, Model>], method: Method) -
         millis.push(ms);
     }
     let errors = compare_motion(&poses, truth);
-    let ok = || errors.iter().zip(&poses).zip(&statuses).filter(|(_, status)| **status == Status::Ok);
-    let is_wrong = |((error, pose), _): &((&Option<MotionErrors>, &Option<Pose<CamLeft, Model>>), &Status)| {
-        error.zip(**pose).is_some_and(|(error, pose)| is_wrong(&error, &pose))
-    };
-    let along = |(error, pose): (&Option<MotionErrors>, &Option<Pose<CamLeft, Model>>)| {
-        let (error, pose) = error.zip(*pose)?;
-        Some(error.translation_m.dot(&pose.translation_m().normalize()).abs())
-    };
-    let depths: Vec<f64> = errors.iter().zip(&poses).filter_map(along).collect();
+    let (mut ok, mut wrong_ok, mut depths) = (0, 0, Vec::new());
+    for ((error, pose), status) in errors.iter().zip(&poses).zip(&statuses) {
+        let (Some(error), Some(pose)) = (error, pose) else { continue };
+        ok += usize::from(*status == Status::Ok);
+        wrong_ok += usize::from(*status == Status::Ok && is_wrong(error, pose));
+        depths.push(error.translation_m.dot(&pose.translation_m().normalize()).abs());
+    }
     Ok(Row {
         sequence: sequence.folder.file_name().unwrap_or_default().to_string_lossy().into_owned(),
         method,
         frames: truth.len(),
-        ok: ok().count(),
-        wrong_ok: ok().filter(is_wrong).count(),
+        ok,
+        wrong_ok,
         summary: MotionSummary::of(&errors),
         depth_m: Statistics::of(&depths),
         millis: median(&millis).unwrap_or_default(),
@@ -238,7 +236,7 @@ This page is written by the command below; change the program, not the page.
 Every method follows the region of the first frame, with its default parameters and the calibration, depth range and times of the sequence.
 Errors are those of the motion since the first frame with a pose, over the frames with a pose; the frame `model` of the truth is another one.
 
-* **wrong ok**: status `ok`, but the motion is off by more than {:.0} % of the distance, or {WRONG_DEG} degrees. A jump by a period of the texture counts.
+* **wrong ok**: status `ok`, but the motion is off by more than {:.0} % of the distance, or {WRONG_DEG} degrees, as after a jump by a period of the texture.
 * **depth**: the part of the translation error along the line of sight.
 * **ms**: CPU time of one thread per frame, median.
 
