@@ -54,7 +54,8 @@ const DRAWN_SEQUENCE: &str = "track/crab-30fps";
 /// Options.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Fewer poses and sequences, for a check in minutes; does not change docs/benchmarks.
+    /// Fewer poses and sequences, and without --only no others than those with limits, for a check in minutes; does not change
+    /// docs/benchmarks.
     #[arg(long)]
     quick: bool,
     /// Only configurations and sequences whose name contains one of these texts, separated by commas.
@@ -88,7 +89,10 @@ pub struct Args {
 
 impl Args {
     fn wants(&self, name: &str) -> bool {
-        self.only.is_empty() || self.only.iter().any(|only| name.contains(only.as_str()))
+        match self.only.as_slice() {
+            [] => !self.quick || limits::has_limit(name),
+            only => only.iter().any(|only| name.contains(only.as_str())),
+        }
     }
 
     fn methods(&self) -> Vec<Method> {

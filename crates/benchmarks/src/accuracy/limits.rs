@@ -141,6 +141,7 @@ pub const SEQUENCE_LIMITS: &[SequenceLimit] = &[
     planar("track/crab"),
     planar("track/colourful"),
     planar("track/grey"),
+    planar("hidden/crab"),
     SequenceLimit {
         method: "direct",
         sequence: "track/relief-25mm",
@@ -187,7 +188,17 @@ pub const ENSEMBLE_LIMITS: &[EnsembleLimit] = &[
     EnsembleLimit { ensemble: "many/rectangle", nees: NEES_OF_PLANES, z_mm: NONE, rotation_deg: NONE },
     EnsembleLimit { ensemble: "many/relief", nees: NEES_OF_RELIEFS, z_mm: NONE, rotation_deg: NONE },
     EnsembleLimit { ensemble: "exposure/", nees: ANY, z_mm: [0.05, 0.18], rotation_deg: [0.15, 0.40] },
+    EnsembleLimit { ensemble: "skew/1ms", nees: ANY, z_mm: [0.05, 0.18], rotation_deg: [0.15, 0.40] },
+    EnsembleLimit { ensemble: "skew/5ms", nees: ANY, z_mm: [0.08, 0.20], rotation_deg: [0.15, 0.40] },
 ];
+
+/// Whether a limit is for this configuration, sequence or ensemble.
+pub fn has_limit(name: &str) -> bool {
+    let of_cells = LIMITS.iter().map(|limit| limit.cell);
+    let of_sequences = SEQUENCE_LIMITS.iter().map(|limit| limit.sequence);
+    let mut starts = of_cells.chain(of_sequences).chain(ENSEMBLE_LIMITS.iter().map(|limit| limit.ensemble));
+    starts.any(|start| name.starts_with(start))
+}
 
 /// One check of one row.
 #[derive(Clone, Debug, PartialEq)]
