@@ -1,7 +1,7 @@
 //! Prediction of the target's pose in the next frame.
 
 use nalgebra::Vector3;
-use pb3dp_estimation_core::method::FramePrior;
+use pb3dp_estimation_core::method::{CAMERA_STEP_MAX_M, CAMERA_TURN_MAX_RAD, FramePrior};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, so3};
 
@@ -106,7 +106,11 @@ impl Motion {
         let turn = along(angular) + across(self.steady.1);
         let [shift, turn] = [shift, turn].map(|velocity| now_from_prev.transform_vector(&(velocity * prior.skew_s)));
         let later = Pose::from_parts(pose.translation_m() + shift, so3::exp(&turn) * pose.rotation());
-        of_camera * later * pose.inverse()
+        let motion = of_camera * later * pose.inverse();
+        let is_plausible = motion.is_finite()
+            && motion.translation_m().norm() <= CAMERA_STEP_MAX_M
+            && motion.rotation_angle_rad() <= CAMERA_TURN_MAX_RAD;
+        if is_plausible { motion } else { Pose::coincident() }
     }
 
     /// Updates the motion with the estimated pose.

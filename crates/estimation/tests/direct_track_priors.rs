@@ -43,6 +43,7 @@ fn a_prior_that_cannot_be_true_costs_at_most_its_frame() {
         ("an endless interval", after(1e300)),
         ("a negative interval", after(-1.0)),
         ("no interval", after(1e-300)),
+        ("a skew in no interval", FramePrior { skew_s: 0.01, ..after(1e-300) }),
         ("a NaN skew", FramePrior::of_skew(f64::NAN)),
         ("an endless skew", FramePrior { skew_s: 1e9, ..after(1.0 / FPS) }),
     ];

@@ -71,7 +71,7 @@ impl Target {
         let baseline = rig.right_centre_in_cam_left();
         let along = pose.inverse().transform_vector(&baseline.normalize());
         let place = covariance.fixed_view::<3, 3>(0, 0).into_owned();
-        let variance = EXTRAPOLATED * (prior.skew_s / step_s).powi(2) * along.dot(&(place * along));
+        let variance = EXTRAPOLATED * (prior.skew_s / step_s).clamp(-1.0, 1.0).powi(2) * along.dot(&(place * along));
         let depth = pose.translation_m().z / baseline.norm();
         let ray = pose.inverse().transform_vector(&pose.translation_m().normalize());
         let mut shift = covariance.fixed_view_mut::<3, 3>(0, 0);
