@@ -12,7 +12,7 @@ import pb3dp
 from conftest import CASES, ROOT
 
 # Options in messages that no call of the package raises: viewers, and the conversion of another format.
-NOT_FOR_PYTHON = {"--live", "--src", "--dst", "--dst-storage"}
+NOT_FOR_PYTHON = {"--live", "--src", "--dst", "--dst-storage", "--layout"}
 
 RECTANGLE = pb3dp.Region.rectangle(150, 120, 90, 80)
 
