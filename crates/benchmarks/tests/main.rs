@@ -38,9 +38,9 @@ fn a_sequence_that_was_written_is_tracked_and_compared_with_its_truth() {
     };
     let all = measured(&folder(""));
     let line: serde_json::Value = serde_json::from_slice(&all.stdout).expect("one line of JSON");
-    assert_eq!((&line["sequence"], &line["frames"], &line["wrong_ok"]), (&"moving".into(), &3.into(), &0.into()));
+    assert_eq!((&line["sequence"], &line["frames"], &line["wrong_ok"]), (&"moving".into(), &2.into(), &0.into()));
     let depth_m = line["depth_m_median_p95"][1].as_f64().expect("a number");
-    assert!(depth_m < 0.003, "{depth_m}");
+    assert!(depth_m < 0.0003, "{depth_m}");
     let refused = measured(&folder("empty"));
     let text = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert!(!refused.status.success() && text.contains("no sequence.json"), "{text}");

@@ -139,9 +139,11 @@ fn follow(sequence: &Sequence, truth: &[Pose<CamLeft, Model>], method: Method) -
         statuses.push(estimate.status);
         millis.push(ms);
     }
-    let errors = compare_motion(&poses, truth);
+    // A first pair whose exposures differ does not show how the target moved in between.
+    let first = usize::from(sequence.skew_s.first().is_some_and(|skew_s| *skew_s != 0.0));
+    let errors = compare_motion(&poses[first..], &truth[first..]);
     let (mut ok, mut wrong_ok, mut depths) = (0, 0, Vec::new());
-    for ((error, pose), status) in errors.iter().zip(&poses).zip(&statuses) {
+    for ((error, pose), status) in errors.iter().zip(&poses[first..]).zip(&statuses[first..]) {
         let (Some(error), Some(pose)) = (error, pose) else { continue };
         ok += usize::from(*status == Status::Ok);
         wrong_ok += usize::from(*status == Status::Ok && is_wrong(error, pose));
@@ -150,7 +152,7 @@ fn follow(sequence: &Sequence, truth: &[Pose<CamLeft, Model>], method: Method) -
     Ok(Row {
         sequence: sequence.folder.file_name().unwrap_or_default().to_string_lossy().into_owned(),
         method,
-        frames: truth.len(),
+        frames: errors.len(),
         ok,
         wrong_ok,
         summary: MotionSummary::of(&errors),
@@ -234,7 +236,7 @@ fn page(rows: &[Row], circumstances: &Circumstances) -> String {
 This page is written by the command below; change the program, not the page.
 
 Every method follows the region of the first frame, with its default parameters and the calibration, depth range and times of the sequence.
-Errors are those of the motion since the first frame with a pose, over the frames with a pose; the frame `model` of the truth is another one.
+Errors are those of the motion since the first frame with a pose, or the second one if the exposures of the first pair differ, over the frames with a pose; the frame `model` of the truth is another one.
 
 * **wrong ok**: status `ok`, but the motion is off by more than {:.0} % of the distance, or {WRONG_DEG} degrees, as after a jump by a period of the texture.
 * **depth**: the part of the translation error along the line of sight.

@@ -133,8 +133,14 @@ fn report(recording: &Recording, walk: &Walk) {
     let mut text = String::new();
     if let (Some(truth), Some(target)) = (&recording.cam_left_from_model, walk.targets().first()) {
         let of = if walk.targets().len() > 1 { " of target 0" } else { "" };
-        text += &format!("\nErrors of the motion{of} since the first frame with a pose:\n");
-        text += &match MotionSummary::of(&compare_motion(target.poses(), truth)) {
+        let since = match walk.judged_from() {
+            0 => "the first frame with a pose".to_owned(),
+            frame => format!("frame {frame}, the first one that shows how the target moved between the exposures"),
+        };
+        text += &format!("\nErrors of the motion{of} since {since}:\n");
+        let poses = target.poses().get(walk.judged_from()..).unwrap_or_default();
+        let truth = truth.get(walk.judged_from()..).unwrap_or_default();
+        text += &match MotionSummary::of(&compare_motion(poses, truth)) {
             Some(summary) => summary.text_table(),
             None => "no frame has a pose: nothing to compare with the truth\n".to_owned(),
         };

@@ -31,6 +31,9 @@ pub struct Walk {
     targets: Vec<TrackedTarget>,
     /// The first readable frame.
     first: Option<usize>,
+    /// The frame since which the motion is compared with the truth: the second one if the exposures of the first pair differ, since that
+    /// pair does not show how the target moved in between.
+    judged_from: usize,
     /// Mid-exposure of the last readable frame.
     last_at: Option<MonotonicTime>,
     rotation_about_normal_observed: bool,
@@ -187,10 +190,16 @@ impl Walk {
             rig: *rig,
             targets: marks.into_iter().map(target).collect::<Result<_>>()?,
             first: None,
+            judged_from: 0,
             last_at: None,
             rotation_about_normal_observed: true,
             deadline_millis: args.method.deadline,
         })
+    }
+
+    /// The frame since which the motion is compared with the truth.
+    pub fn judged_from(&self) -> usize {
+        self.judged_from
     }
 
     /// All targets, that of the sequence first.
@@ -221,6 +230,9 @@ impl Walk {
                 tracing::warn!("the regions belong to frame 0, which cannot be read; they are used in frame {frame}");
             }
             self.first = Some(frame);
+            if pair.skew_nanos != 0 {
+                self.judged_from = frame + 1;
+            }
         }
         let before = self.last_at.replace(pair.exposed_at);
         let dt_s = before.map(|before| pair.exposed_at.seconds_since(before));
