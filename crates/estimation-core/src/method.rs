@@ -72,12 +72,7 @@ impl FramePrior {
     pub fn plausible(&self) -> Self {
         // A caller may have made it without a check.
         let is_rotation = |rotation: &UnitQuaternion<f64>| (rotation.norm() - 1.0).abs() < 1e-6;
-        let is_step = |motion: &Pose<CamLeft, CamLeft>| {
-            motion.is_finite()
-                && is_rotation(&motion.rotation())
-                && motion.translation_m().norm() <= CAMERA_STEP_MAX_M
-                && motion.rotation_angle_rad() <= CAMERA_TURN_MAX_RAD
-        };
+        let is_step = |motion: &Pose<CamLeft, CamLeft>| is_rotation(&motion.rotation()) && is_plausible_step(motion);
         let is_target = |pose: &Pose<CamLeft, Model>| {
             let at_m = pose.translation_m();
             pose.is_finite() && is_rotation(&pose.rotation()) && at_m.z > 0.0 && at_m.norm() <= TARGET_MAX_M
@@ -89,6 +84,13 @@ impl FramePrior {
             skew_s: if self.skew_s.abs() <= SKEW_MAX_S { self.skew_s } else { 0.0 },
         }
     }
+}
+
+/// Whether a motion is finite and no larger than [`CAMERA_STEP_MAX_M`] and [`CAMERA_TURN_MAX_RAD`].
+pub fn is_plausible_step(motion: &Pose<CamLeft, CamLeft>) -> bool {
+    motion.is_finite()
+        && motion.translation_m().norm() <= CAMERA_STEP_MAX_M
+        && motion.rotation_angle_rad() <= CAMERA_TURN_MAX_RAD
 }
 
 /// Largest plausible time between the exposures of a pair: three periods of 30 per second.

@@ -1,7 +1,7 @@
 //! Prediction of the target's pose in the next frame.
 
 use nalgebra::Vector3;
-use pb3dp_estimation_core::method::{CAMERA_STEP_MAX_M, CAMERA_TURN_MAX_RAD, FramePrior};
+use pb3dp_estimation_core::method::{FramePrior, is_plausible_step};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, so3};
 
@@ -14,6 +14,8 @@ pub(super) struct Motion {
     velocity: Option<(Vector3<f64>, Vector3<f64>)>,
     /// Change of the velocity of the origin per unit of time; zero if it is not known.
     acceleration: Vector3<f64>,
+    /// Whether the last frame was without the target: its velocity was not measured, so no change follows from it.
+    has_coasted: bool,
     /// Mean of the last velocities.
     steady: (Vector3<f64>, Vector3<f64>),
     /// Units of time between the last two frames.
@@ -54,6 +56,7 @@ impl Motion {
             cam_left_from_model,
             velocity: None,
             acceleration: Vector3::zeros(),
+            has_coasted: false,
             steady: Default::default(),
             interval: 1.0,
         }
@@ -107,10 +110,7 @@ impl Motion {
         let [shift, turn] = [shift, turn].map(|velocity| now_from_prev.transform_vector(&(velocity * prior.skew_s)));
         let later = Pose::from_parts(pose.translation_m() + shift, so3::exp(&turn) * pose.rotation());
         let motion = of_camera * later * pose.inverse();
-        let is_plausible = motion.is_finite()
-            && motion.translation_m().norm() <= CAMERA_STEP_MAX_M
-            && motion.rotation_angle_rad() <= CAMERA_TURN_MAX_RAD;
-        if is_plausible { motion } else { Pose::coincident() }
+        if is_plausible_step(&motion) { motion } else { Pose::coincident() }
     }
 
     /// Updates the motion with the estimated pose.
@@ -121,9 +121,10 @@ impl Motion {
         let linear = (in_prev.translation_m() - self.cam_left_from_model.translation_m()) / step;
         let angular = so3::log(&(in_prev.rotation() * self.cam_left_from_model.rotation().inverse())) / step;
         let turn = prev_from_now.rotation().inverse();
-        self.acceleration = self
-            .velocity
-            .map_or_else(Vector3::zeros, |(was, _)| turn * (linear - was) / (0.5 * (step + self.interval)));
+        let measured = self.velocity.filter(|_| !self.has_coasted);
+        self.acceleration =
+            measured.map_or_else(Vector3::zeros, |(was, _)| turn * (linear - was) / (0.5 * (step + self.interval)));
+        self.has_coasted = false;
         let mean = |was: Vector3<f64>, is: Vector3<f64>| turn * (was + (is - was) * STEADY_RATE);
         self.steady = match self.velocity {
             Some(_) => (mean(self.steady.0, linear), mean(self.steady.1, angular)),
@@ -140,7 +141,7 @@ impl Motion {
         self.velocity = self
             .velocity
             .map(|(linear, angular)| (now_from_prev * linear * COASTING, now_from_prev * angular * COASTING));
-        self.acceleration = Vector3::zeros();
+        (self.acceleration, self.has_coasted) = (Vector3::zeros(), true);
         self.steady = self.velocity.unwrap_or_default();
         (self.cam_left_from_model, self.interval) = (found, step);
     }
@@ -207,6 +208,18 @@ mod tests {
         assert!((found.inverse() * truth).rotation_angle_rad() < 0.02 * truth.rotation_angle_rad());
         let none = FramePrior { dt_s: None, ..prior_at(0.1) };
         assert!(motion.between_exposures(&expected, &none).log().norm() == 0.0, "no time, no motion");
+    }
+
+    #[test]
+    fn a_frame_without_the_target_is_no_change_of_its_velocity() {
+        let at = |t: f64| Pose::from_parts(pose().translation_m() + Vector3::new(0.1, 0.0, 0.0) * t, pose().rotation());
+        let prior = FramePrior { dt_s: Some(0.04), ..FramePrior::of_skew(0.005) };
+        let mut motion = Motion::resting(at(0.0));
+        motion.learn(&at(0.04), &prior);
+        motion.coast(&prior);
+        motion.learn(&at(0.12), &prior);
+        let between = motion.between_exposures(&motion.expect(&prior), &prior);
+        assert!((between.translation_m() - Vector3::new(0.1, 0.0, 0.0) * 0.005).norm() < 2e-5, "{between:?}");
     }
 
     #[test]

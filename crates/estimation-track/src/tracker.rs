@@ -356,7 +356,7 @@ impl DirectTracker {
             self.load(left, right, &expected.pose, &target.outline_in_model, margin);
             let before = target.estimate;
             let frame = Frame { rig: &self.rig, ..self.frame() };
-            if let Some((rig_at_rest, pose)) = target.second_frame(&expected, &frame, prior, may_continue) {
+            if let Some((rig_at_rest, pose)) = target.correct_by_second_frame(&expected, &frame, prior, may_continue) {
                 self.rig_at_rest = rig_at_rest;
                 expected = Expected { pose, coasted: pose };
             }

@@ -21,7 +21,7 @@ const RAY_STEP: f64 = 0.1;
 impl Target {
     /// The rig that sees the target at rest in the second frame, and its pose there: that frame shows the motion in the first pair, and the
     /// surface is corrected for it. `None` if the first pair was taken at once, or the frame does not show the target.
-    pub(crate) fn second_frame(
+    pub(crate) fn correct_by_second_frame(
         &mut self,
         expected: &Expected,
         frame: &Frame<'_>,
