@@ -4,7 +4,7 @@ mod exposures;
 mod lost;
 mod periodic;
 
-use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector2};
+use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::wide::LANES;
 use pb3dp_estimation_direct::image_plane::PixelWindow;
@@ -205,7 +205,8 @@ impl Target {
     /// Moves the frame `model` onto the plane of the refined surface, in the first pair. For a plane that was only a start value:
     /// the refined one is more accurate, and the covariance is that of the refined one.
     pub(super) fn settle_on_plane(&mut self, frame: &Frame<'_>) {
-        if self.place_frame().is_none() {
+        let plane = self.surface.plane;
+        if self.place_frame(&plane).is_none() {
             return;
         }
         self.estimate.cam_left_from_model = self.motion.cam_left_from_model;
@@ -215,12 +216,12 @@ impl Target {
         }
     }
 
-    /// Moves the frame `model` onto the plane of the surface in the first pair, and expresses everything but the estimate in it. Maps the
-    /// old frame to the new one.
-    fn place_frame(&mut self) -> Option<Pose<Model, Model>> {
+    /// Moves the frame `model` onto a plane in the first pair, and expresses everything but the estimate in it. Maps the old frame to the
+    /// new one.
+    fn place_frame(&mut self, plane: &Vector3<f64>) -> Option<Pose<Model, Model>> {
         let before = self.views[0].cam_left_from_model;
         let centre_ray = before.translation_m() / before.translation_m().z;
-        let pose = model_frame(&self.surface.plane, &centre_ray)?;
+        let pose = model_frame(plane, &centre_ray)?;
         let after_from_before = pose.inverse() * before;
         self.surface.model_from_first = pose.inverse();
         self.surface.rebuild();

@@ -48,20 +48,25 @@ impl Target {
         later_from_now: &Pose<CamLeft, CamLeft>,
         rig: &StereoRig,
     ) -> Option<Pose<Model, Model>> {
-        let origin = self.motion.cam_left_from_model.translation_m();
-        let centre = origin / origin.z;
-        let rays = [Vector3::zeros(), Vector3::x(), Vector3::y()].map(|step| centre + step * RAY_STEP);
-        let mut inverse_depths = Vector3::zeros();
-        for (ray, out) in rays.iter().zip(inverse_depths.iter_mut()) {
-            *out =
-                true_inverse_depth(self.surface.plane.dot(ray), ray, later_from_now, &rig.right_centre_in_cam_left())?;
-        }
-        let plane = Matrix3::from_rows(&rays.map(|ray| ray.transpose())).try_inverse()? * inverse_depths;
-        self.surface.set_plane(plane);
+        let first = self.motion.cam_left_from_model;
+        let (origin, normal) = (first.translation_m(), first.transform_vector(&Vector3::z()));
+        let rays = [Vector3::zeros(), Vector3::x(), Vector3::y()].map(|step| origin / origin.z + step * RAY_STEP);
+        let inverse_rays = Matrix3::from_rows(&rays.map(|ray| ray.transpose())).try_inverse()?;
+        let centre = rig.right_centre_in_cam_left();
+        let corrected = |plane: Vector3<f64>| {
+            let mut inverse_depths = Vector3::zeros();
+            for (ray, out) in rays.iter().zip(inverse_depths.iter_mut()) {
+                *out = true_inverse_depth(plane.dot(ray), ray, later_from_now, &centre)?;
+            }
+            Some(inverse_rays * inverse_depths)
+        };
+        // On a curved target the frame is not on the plane that the relief is measured from.
+        let [surface, frame] = [corrected(self.surface.plane)?, corrected(normal / normal.dot(&origin))?];
+        self.surface.set_plane(surface);
         // The motion across the rows looked like a misalignment of the rows.
         self.knowledge.row_offset_px = 0.0;
         self.knowledge.row_information = ROW_INFORMATION_START;
-        self.place_frame()
+        self.place_frame(&frame)
     }
 
     /// Adds the error of the motion between the exposures to the covariance: depth follows from the difference of both images.

@@ -321,6 +321,31 @@ fn a_recorded_run_can_be_tracked() {
     assert_eq!(std::fs::read(out.join("summary.json")).unwrap(), report);
 }
 
+/// Cameras with a trigger are some microseconds apart. The second frame corrects the first pair for its motion, which is none here; on a
+/// curved target the frame `model` is not on the plane that the relief is measured from.
+#[test]
+fn a_skew_of_microseconds_leaves_the_pose_of_a_curved_target() {
+    let dir = tempfile::tempdir().unwrap();
+    let (out, recording) = (dir.path().join("out"), dir.path().join("recording"));
+    let run = [&"run" as &dyn AsRef<std::ffi::OsStr>, &"--config", &"sim", &"--stop-after", &"0.2"];
+    pb3dp(&words(&[&run[..], &[&"--out", &out, &"--record", &recording]].concat())).assert_success();
+    let file = recording.join("sequence.json");
+    let mut sequence: serde_json::Value = serde_json::from_slice(&std::fs::read(&file).unwrap()).unwrap();
+    let poses = || -> Vec<Vec<f64>> {
+        let tracked = pb3dp(&words(&[&"track", &"--sequence", &recording, &"--json"])).assert_success();
+        let lines = tracked.json_lines(&TRACK_KEYS);
+        lines.iter().map(|line| serde_json::from_value(line["cam_left_from_model"].clone()).unwrap()).collect()
+    };
+    let at_once = poses();
+    sequence["skew_s"] = vec![1e-6; at_once.len()].into();
+    std::fs::write(&file, sequence.to_string()).unwrap();
+    for (skewed, at_once) in poses().iter().zip(&at_once) {
+        // Millimetres, and elements of a rotation: 0.05 degrees.
+        let is_near = |(k, (a, b)): (usize, (&f64, &f64))| (a - b).abs() < if k % 4 == 3 { 0.05 } else { 1e-3 };
+        assert!(skewed.iter().zip(at_once).enumerate().all(is_near), "{skewed:?} {at_once:?}");
+    }
+}
+
 #[test]
 fn times_that_are_none_are_refused() {
     for bad in ["nan", "inf", "-1", "soon"] {
