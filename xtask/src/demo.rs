@@ -30,7 +30,7 @@ pub struct Args {
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     let package = ["--release", "--locked", "--package", "pb3dp-orchestrator", "--bin", "pb3dp"];
     println!(
-        "Building pb3dp with optimisation (5 to 15 minutes the first time; the last crate takes some of them without a new line)."
+        "Building pb3dp with optimisation (3 to 7 minutes the first time)."
     );
     let start = Instant::now();
     run_visibly(workspace.cargo().arg("build").args(package))?;

@@ -12,6 +12,7 @@ use crate::so3;
 const SERIES_BELOW_RAD: f64 = 1.0;
 
 /// The motion of a body that moves for one unit of time with the constant twist `xi = [rho; phi]` in its own axes.
+#[inline]
 pub fn exp(xi: &Vector6<f64>) -> Isometry3<f64> {
     let (rho, phi) = split(xi);
     Isometry3::from_parts(Translation3::from(so3::left_jacobian(&phi) * rho), so3::exp(&phi))
@@ -61,11 +62,13 @@ pub fn interpolate(a: &Isometry3<f64>, b: &Isometry3<f64>, s: f64) -> Isometry3<
 }
 
 /// The parts `(rho, phi)` of a tangent vector.
+#[inline]
 pub fn split(xi: &Vector6<f64>) -> (Vector3<f64>, Vector3<f64>) {
     (xi.fixed_rows::<3>(0).into_owned(), xi.fixed_rows::<3>(3).into_owned())
 }
 
 /// The tangent vector `[rho; phi]`.
+#[inline]
 pub fn join(rho: &Vector3<f64>, phi: &Vector3<f64>) -> Vector6<f64> {
     Vector6::new(rho.x, rho.y, rho.z, phi.x, phi.y, phi.z)
 }

@@ -13,11 +13,13 @@ const SERIES_BELOW_RAD: f64 = 1.0;
 const INVERSE_SERIES_BELOW_RAD: f64 = 0.5;
 
 /// The skew-symmetric matrix of `v`: `hat(v) * w == v.cross(&w)`.
+#[inline]
 pub fn hat(v: &Vector3<f64>) -> Matrix3<f64> {
     v.cross_matrix()
 }
 
 /// Rotation by the rotation vector `phi` (radians, any length).
+#[inline]
 pub fn exp(phi: &Vector3<f64>) -> UnitQuaternion<f64> {
     let half_rad = 0.5 * phi.norm();
     let sinc = if half_rad < 1e-5 { 1.0 - half_rad * half_rad / 6.0 } else { half_rad.sin() / half_rad };
@@ -62,6 +64,7 @@ pub fn right_jacobian_inverse(phi: &Vector3<f64>) -> Matrix3<f64> {
 }
 
 /// `(1 - cos x) / x^2`.
+#[inline]
 pub(crate) fn one_minus_cos(x: f64) -> f64 {
     if x < 1e-5 {
         return 0.5 - x * x / 24.0;
@@ -71,6 +74,7 @@ pub(crate) fn one_minus_cos(x: f64) -> f64 {
 }
 
 /// `(x - sin x) / x^3`.
+#[inline]
 pub(crate) fn angle_minus_sin(x: f64) -> f64 {
     if x < SERIES_BELOW_RAD {
         return alternating_series(x, 1.0 / 6.0, |n| 1.0 / ((2.0 * n + 2.0) * (2.0 * n + 3.0)));

@@ -72,16 +72,19 @@ impl StereoRig {
     }
 
     /// The left camera.
+    #[inline]
     pub fn left(&self) -> &Camera {
         &self.left
     }
 
     /// The right camera.
+    #[inline]
     pub fn right(&self) -> &Camera {
         &self.right
     }
 
     /// Maps coordinates in `cam_left` to `cam_right`.
+    #[inline]
     pub fn cam_right_from_cam_left(&self) -> &Pose<CamRight, CamLeft> {
         &self.cam_right_from_cam_left
     }

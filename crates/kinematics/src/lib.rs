@@ -11,6 +11,7 @@
 
 pub mod chain;
 pub mod clearance;
+mod description;
 pub mod effective_limits;
 pub mod jacobian;
 pub mod limits;

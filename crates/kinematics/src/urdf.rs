@@ -2,8 +2,8 @@
 //! joints.
 
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
-use urdf_rs::{Joint, JointType, Robot};
 
+use crate::description::{self, Joint, Robot};
 use crate::limits::{JointLimits, JointLimitsError};
 use crate::{DOF, JointVector, NO_JOINT_RAD};
 
@@ -17,9 +17,39 @@ const JOINTS_MIN: usize = 6;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ChainError {
-    /// The text is not a URDF.
+    /// The text is not well-formed XML, declares a document type, or has too many elements.
     #[error("the robot description cannot be read as URDF")]
-    Parse(#[source] urdf_rs::UrdfError),
+    Parse(#[source] roxmltree::Error),
+    /// The text is XML, but not a robot description.
+    #[error("the root element is <{found}>; the root of a robot description is <robot>")]
+    Root {
+        /// Name of the root element.
+        found: String,
+    },
+    /// An element of a joint is missing or repeated.
+    #[error("{owner} has {count} elements <{element}>; write one")]
+    Element {
+        /// The joint.
+        owner: String,
+        /// Name of the element.
+        element: &'static str,
+        /// Number of these elements.
+        count: usize,
+    },
+    /// An attribute is missing or cannot be read.
+    #[error("{owner}: attribute `{attribute}` of <{element}> is {}; write {expected}", shown(.value.as_deref()))]
+    Attribute {
+        /// The joint or link.
+        owner: String,
+        /// Name of the element with the attribute.
+        element: String,
+        /// Name of the attribute.
+        attribute: &'static str,
+        /// Beginning of its value, if there is one.
+        value: Option<String>,
+        /// A readable value.
+        expected: &'static str,
+    },
     /// A requested link does not exist.
     #[error("robot `{robot}` has no link `{link}`; it has: {links}")]
     UnknownLink {
@@ -111,6 +141,10 @@ pub enum ChainError {
     },
 }
 
+fn shown(value: Option<&str>) -> String {
+    value.map_or("missing".into(), |value| format!("{value:?}"))
+}
+
 /// A moving joint: its pose on the previous joint (including fixed joints in between), and its axis.
 #[derive(Clone, Debug)]
 pub(crate) struct MovingJoint {
@@ -130,7 +164,7 @@ pub(crate) struct ChainParts {
 
 /// Reads and checks a description.
 pub(crate) fn read(xml: &str, base: &str, tip: &str) -> Result<ChainParts, ChainError> {
-    let robot = urdf_rs::read_from_string(xml).map_err(ChainError::Parse)?;
+    let robot = description::read(xml)?;
     for link in [base, tip] {
         check_link(&robot, link)?;
     }
@@ -158,14 +192,10 @@ pub(crate) fn read(xml: &str, base: &str, tip: &str) -> Result<ChainParts, Chain
 }
 
 fn check_link(robot: &Robot, name: &str) -> Result<(), ChainError> {
-    if robot.links.iter().any(|link| link.name == name) {
+    if robot.links.iter().any(|link| link == name) {
         return Ok(());
     }
-    Err(ChainError::UnknownLink {
-        robot: robot.name.clone(),
-        link: name.into(),
-        links: robot.links.iter().map(|link| link.name.as_str()).collect::<Vec<_>>().join(", "),
-    })
+    Err(ChainError::UnknownLink { robot: robot.name.clone(), link: name.into(), links: robot.links.join(", ") })
 }
 
 /// The joints from base to tip, found by walking from the tip to its parents.
@@ -173,7 +203,7 @@ fn path_from_base<'a>(robot: &'a Robot, base: &str, tip: &str) -> Result<Vec<&'a
     let mut path: Vec<&Joint> = Vec::new();
     let mut link = tip;
     while link != base {
-        let mut leading_here = robot.joints.iter().filter(|joint| joint.child.link == link);
+        let mut leading_here = robot.joints.iter().filter(|joint| joint.child_link == link);
         let Some(joint) = leading_here.next() else {
             return Err(ChainError::Broken { base: base.into(), tip: tip.into(), stopped_at: link.into() });
         };
@@ -182,29 +212,26 @@ fn path_from_base<'a>(robot: &'a Robot, base: &str, tip: &str) -> Result<Vec<&'a
             return Err(ChainError::NotATree { link: link.into(), joint: joint.name.clone() });
         }
         path.push(joint);
-        link = &joint.parent.link;
+        link = &joint.parent_link;
     }
     path.reverse();
     Ok(path)
 }
 
 fn is_moving(joint: &Joint) -> Result<bool, ChainError> {
-    if let Some(mimic) = &joint.mimic {
-        return Err(ChainError::Mimic { joint: joint.name.clone(), leader: mimic.joint.clone() });
+    if let Some(leader) = &joint.mimics {
+        return Err(ChainError::Mimic { joint: joint.name.clone(), leader: leader.clone() });
     }
-    match joint.joint_type {
-        JointType::Revolute => Ok(true),
-        JointType::Fixed => Ok(false),
-        _ => Err(ChainError::JointKind {
-            joint: joint.name.clone(),
-            kind: format!("{:?}", joint.joint_type).to_lowercase(),
-        }),
+    match joint.kind.as_str() {
+        "revolute" => Ok(true),
+        "fixed" => Ok(false),
+        kind => Err(ChainError::JointKind { joint: joint.name.clone(), kind: kind.into() }),
     }
 }
 
 /// `parent_from_joint` at angle zero. URDF: roll, pitch, yaw about the fixed axes x, y, z.
 fn origin(joint: &Joint) -> Result<Isometry3<f64>, ChainError> {
-    let (xyz, rpy) = (*joint.origin.xyz, *joint.origin.rpy);
+    let (xyz, rpy) = (joint.origin_xyz_m, joint.origin_rpy_rad);
     if !xyz.iter().chain(&rpy).all(|number| number.is_finite()) {
         return Err(ChainError::Origin { joint: joint.name.clone(), xyz, rpy });
     }
@@ -213,7 +240,7 @@ fn origin(joint: &Joint) -> Result<Isometry3<f64>, ChainError> {
 }
 
 fn axis(joint: &Joint) -> Result<Unit<Vector3<f64>>, ChainError> {
-    let axis = *joint.axis.xyz;
+    let axis = joint.axis;
     let vector = Vector3::from(axis);
     let length = vector.norm();
     // Written so that NaN is rejected too.
@@ -228,9 +255,9 @@ fn joint_limits(joints: &[&Joint]) -> Result<JointLimits, ChainError> {
         JointVector::from_fn(|index, _| joints.get(index).map_or(without, |joint| number(joint)))
     };
     JointLimits::new(
-        vector(|joint| joint.limit.lower, -NO_JOINT_RAD),
-        vector(|joint| joint.limit.upper, NO_JOINT_RAD),
-        vector(|joint| joint.limit.velocity, NO_JOINT_RAD),
+        vector(|joint| joint.limit.lower_rad, -NO_JOINT_RAD),
+        vector(|joint| joint.limit.upper_rad, NO_JOINT_RAD),
+        vector(|joint| joint.limit.velocity_rad_per_s, NO_JOINT_RAD),
     )
     .map_err(|source| {
         let (JointLimitsError::Position { joint, .. }

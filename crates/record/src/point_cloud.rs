@@ -11,10 +11,6 @@ use std::path::{Path, PathBuf};
 
 use nalgebra::{Point3, Vector3};
 use pb3dp_geometry::Frame;
-use ply_rs_bw::ply::{
-    Addable, DefaultElement, ElementDef, Encoding, Ply, Property, PropertyDef, PropertyType, ScalarType,
-};
-use ply_rs_bw::writer::Writer;
 
 /// A point of a surface with its colour.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -69,43 +65,33 @@ pub fn write_ply<F: Frame>(file: &Path, points: &[SurfacePoint]) -> Result<(), P
     if let Some(index) = points.iter().position(|point| !is_finite(point)) {
         return Err(PointCloudError::NotFinite { file: file.to_path_buf(), index });
     }
+    let has_normals = points.iter().all(|point| point.normal.is_some());
     let failed = |source| PointCloudError::Write { file: file.to_path_buf(), source };
     let mut out = BufWriter::new(File::create(file).map_err(failed)?);
-    Writer::new().write_ply(&mut out, &mut cloud(F::NAME, points)).map_err(failed)?;
-    out.flush().map_err(failed)
+    let parts = [header(F::NAME, points.len(), has_normals).into_bytes()];
+    let mut parts = parts.into_iter().chain(points.iter().map(|point| vertex(point, has_normals)));
+    parts.try_for_each(|part| out.write_all(&part)).and_then(|()| out.flush()).map_err(failed)
 }
 
-fn cloud(frame: &str, points: &[SurfacePoint]) -> Ply<DefaultElement> {
-    let mut ply = Ply::<DefaultElement>::new();
-    ply.header.encoding = Encoding::BinaryLittleEndian;
-    ply.header.comments.push(format!("surface measured by pb3dp, frame {frame}, millimetres"));
-    let mut vertex = ElementDef::new("vertex".to_owned());
-    let has_normals = points.iter().all(|point| point.normal.is_some());
+/// The header of the format (Turk, "The PLY polygon file format", 1994).
+fn header(frame: &str, count: usize, has_normals: bool) -> String {
     let normal = if has_normals { &NORMAL[..] } else { &[] };
-    let float = ScalarType::Float;
-    for (names, scalar) in
-        [(&POSITION[..], &float), (normal, &float), (&SIGMA[..], &float), (&BYTES[..], &ScalarType::UChar)]
-    {
-        for name in names {
-            vertex.properties.add(PropertyDef::new((*name).to_owned(), PropertyType::Scalar(scalar.clone())));
-        }
-    }
-    ply.header.elements.add(vertex);
-    ply.payload.insert("vertex".to_owned(), points.iter().map(element).collect());
-    ply
+    let floats = POSITION.iter().chain(normal).chain(&SIGMA).map(|name| format!("property float {name}\n"));
+    let bytes = BYTES.iter().map(|name| format!("property uchar {name}\n"));
+    let properties: String = floats.chain(bytes).collect();
+    format!(
+        "ply\nformat binary_little_endian 1.0\ncomment surface measured by pb3dp, frame {frame}, millimetres\n\
+         element vertex {count}\n{properties}end_header\n"
+    )
 }
 
-fn element(point: &SurfacePoint) -> DefaultElement {
-    let mut element = DefaultElement::new();
-    let normal = point.normal.unwrap_or_default();
-    let (names, values) = (POSITION.iter().chain(&NORMAL).chain(&SIGMA), (point.position_m.coords * 1e3, normal));
-    for (name, value) in names.zip(values.0.iter().chain(values.1.iter()).copied().chain([1e3 * point.sigma_m])) {
-        element.insert((*name).to_owned(), Property::Float(value as f32));
-    }
-    for (name, value) in BYTES.iter().zip(point.rgb.into_iter().chain([u8::from(point.is_measured)])) {
-        element.insert((*name).to_owned(), Property::UChar(value));
-    }
-    element
+/// The bytes of a point, in the order of the header.
+fn vertex(point: &SurfacePoint, has_normal: bool) -> Vec<u8> {
+    let position_mm = point.position_m.coords * 1e3;
+    let normal = point.normal.filter(|_| has_normal);
+    let floats = position_mm.iter().chain(normal.iter().flat_map(|normal| normal.iter())).copied();
+    let floats = floats.chain([1e3 * point.sigma_m]).flat_map(|value| (value as f32).to_le_bytes());
+    floats.chain(point.rgb).chain([u8::from(point.is_measured)]).collect()
 }
 
 #[cfg(test)]

@@ -15,7 +15,6 @@ mod variables;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use figment::providers::{Format, Toml};
 use figment::value::{Dict, Map, Value};
 use figment::{Figment, Metadata, Profile, Provider};
 
@@ -101,11 +100,10 @@ impl Layer {
             let place = PathBuf::from(format!("{origin}:{line}:{column}"));
             return Err(ConfigError::Syntax { place, reason: error.message().to_owned() });
         }
-        let data = Toml::string(&text).data().map_err(|error| ConfigError::Syntax {
+        let stated = toml::from_str(&text).map_err(|error| ConfigError::Syntax {
             place: PathBuf::from(origin.to_string()),
             reason: error.to_string(),
         })?;
-        let stated = data.into_values().next().unwrap_or_default();
         Ok(Self { origin, positions: position::all(&text), stated })
     }
 
@@ -565,10 +563,10 @@ fn find(config: &Path, folder: &Path) -> Result<(Origin, String), ConfigError> {
 }
 
 /// A value in nested tables.
-fn value_at<'a>(dict: &'a Dict, path: &[&str]) -> Option<&'a Value> {
+fn value_at<'a>(dict: &'a Dict, path: &[impl AsRef<str>]) -> Option<&'a Value> {
     let (first, rest) = path.split_first()?;
-    rest.iter().try_fold(dict.get(*first)?, |value, part| match value {
-        Value::Dict(_, inner) => inner.get(*part),
+    rest.iter().map(AsRef::as_ref).try_fold(dict.get(first.as_ref())?, |value, part| match value {
+        Value::Dict(_, inner) => inner.get(part),
         Value::Array(_, items) => items.get(part.parse::<usize>().ok()?),
         _ => None,
     })

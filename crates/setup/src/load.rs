@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use figment::Figment;
 use figment::error::Kind;
-use figment::providers::{Format, Serialized, Toml};
+use figment::providers::Serialized;
 use figment::value::{Dict, Value};
 use serde::de::DeserializeOwned;
 
@@ -20,8 +20,8 @@ use crate::layers::{Layers, built_in};
 /// # Errors
 /// An unreadable file.
 pub fn kind_of(file: &Path) -> Result<Option<FileKind>, ConfigError> {
-    let figment = Figment::from(Toml::string(&text_of(file)?));
-    Ok(FileKind::ALL.into_iter().find(|kind| figment.find_value(kind.own_table()).is_ok()))
+    let values: Dict = toml::from_str(&text_of(file)?).unwrap_or_default();
+    Ok(FileKind::ALL.into_iter().find(|kind| values.contains_key(kind.own_table())))
 }
 
 /// A configuration that is read table by table: the keys of a table may depend on its values.

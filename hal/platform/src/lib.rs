@@ -4,9 +4,11 @@
 //! * [`realtime`], [`signals`]: real-time scheduling and termination signals for a cycle thread.
 //! * [`jitter`], [`witness`]: lateness of a cycle, and of the computer itself.
 //! * [`key_file`]: files of secret keys, and random bytes.
+//! * [`certificate`]: self-signed certificates for TLS servers.
 //! * [`only_program`]: what only one program of a computer may do.
 //! * [`cpu_time`]: CPU time of a computation in one thread.
 
+pub mod certificate;
 pub mod cpu_time;
 pub mod jitter;
 pub mod key_file;

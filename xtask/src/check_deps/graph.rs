@@ -156,6 +156,7 @@ const ALLOWED: [(&str, &[&str]); 43] = [
             "estimation-core",
             "estimation",
             "servo",
+            "hal-platform",
             "hal-api",
             "setup",
             "cell",
@@ -271,7 +272,7 @@ const ALLOWED_IN_HAL_TESTS: [&str; 2] = ["hal-conformance", "hal-clock"];
 
 /// Additional packages for tests of one package: a wrapper is tested around the arm without hardware, and a calibration on
 /// simulated rigs, whose arms have joints.
-const ALLOWED_IN_TESTS_OF: [(&str, &[&str]); 11] = [
+const ALLOWED_IN_TESTS_OF: [(&str, &[&str]); 13] = [
     ("cell", &["arm-pa10-emulation"]),
     ("estimation-core", &["estimation-test-support"]),
     ("estimation-direct", &["estimation-test-support"]),
@@ -291,6 +292,8 @@ const ALLOWED_IN_TESTS_OF: [(&str, &[&str]); 11] = [
         ],
     ),
     ("arm-pa10", &["arm-pa10-gateway", "arm-pa10-emulation", "arm-pa10-test-support", "sim"]),
+    ("arm-pa10-gateway", &["arm-pa10-test-support"]),
+    ("arm-pa10-emulation", &["arm-pa10-test-support"]),
     ("orchestrator", &["arm-pa10-test-support", "arm-pa10-protocol", "arm-pa10-gateway", "arm-pa10-emulation", "sim"]),
     ("calibration", &["kinematics", "sim"]),
     ("panel", &["hal-clock"]),
@@ -308,9 +311,6 @@ const SERDE_USERS: [&str; 10] =
     ["setup", "cell", "panel", "commissioning", "orchestrator", "python", "record", "bag", "benchmarks", "calibration"];
 const SERDE_CRATES: [&str; 6] = ["serde", "serde_json", "serde-saphyr", "toml", "figment", "serde_derive"];
 
-/// Lets tests disable safeguards: only a build of a test may enable it, by name.
-const TEST_FEATURE: &str = "disabled-guards";
-
 /// One of our packages and its dependencies.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Package {
@@ -322,8 +322,6 @@ pub struct Package {
     pub dependencies: Vec<String>,
     /// Dependencies of its tests, ours without the prefix.
     pub test_dependencies: Vec<String>,
-    /// What enables [`TEST_FEATURE`] implicitly: other features, and dependencies.
-    pub enablers: Vec<String>,
 }
 
 fn short(name: &str) -> String {
@@ -350,21 +348,9 @@ fn package(package: &Value) -> anyhow::Result<Package> {
     for dependency in package["dependencies"].as_array().context("a package has no dependencies")? {
         let name = short(dependency["name"].as_str().context("a dependency has no name")?);
         let for_tests = dependency["kind"].as_str() == Some("dev");
-        if enables(&dependency["features"]) {
-            found.enablers.push(format!("the dependency {name}"));
-        }
         if for_tests { found.test_dependencies.push(name) } else { found.dependencies.push(name) }
     }
-    let features = package["features"].as_object().into_iter().flatten();
-    let others = features.filter(|(name, list)| *name != TEST_FEATURE && enables(list));
-    found.enablers.extend(others.map(|(name, _)| format!("the feature {name}")));
     Ok(found)
-}
-
-/// Whether a list of features contains the one for tests, of any package.
-fn enables(features: &Value) -> bool {
-    let of = |feature: &Value| feature.as_str().and_then(|text| text.rsplit('/').next()) == Some(TEST_FEATURE);
-    features.as_array().is_some_and(|features| features.iter().any(of))
 }
 
 /// Checks every package against the tables.
@@ -375,13 +361,8 @@ pub fn check(packages: &[Package]) -> Vec<Violation> {
 
 fn check_package(package: &Package, ours: &[&str]) -> Vec<Violation> {
     let place = format!("package {}", package.name);
-    let enabled = package.enablers.iter().map(|by| {
-        let message = format!("{by} enables {TEST_FEATURE}, which can disable safeguards: remove it");
-        Violation::of(&place, "test-feature", message)
-    });
-    let mut violations: Vec<_> = enabled.collect();
     if package.name == SEES_ALL {
-        return violations;
+        return Vec::new();
     }
     let listed = ALLOWED.iter().find(|(name, _)| *name == package.name).map(|(_, allowed)| *allowed);
     let allowed: &[&str] = match listed {
@@ -392,6 +373,7 @@ fn check_package(package: &Package, ours: &[&str]) -> Vec<Violation> {
             return vec![Violation::of(&place, "unknown-package", message)];
         }
     };
+    let mut violations = Vec::new();
     let is_ours = |name: &&String| ours.contains(&name.as_str());
     for name in package.dependencies.iter().filter(is_ours).filter(|name| !allowed.contains(&name.as_str())) {
         let message = format!("must not depend on {name}: see the layers in ARCHITECTURE.md");
@@ -428,7 +410,7 @@ mod tests {
     fn with(name: &str, in_hal: bool, dependencies: &[&str], test_dependencies: &[&str]) -> Package {
         let owned = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
         let (dependencies, test_dependencies) = (owned(dependencies), owned(test_dependencies));
-        Package { name: name.to_owned(), in_hal, dependencies, test_dependencies, enablers: Vec::new() }
+        Package { name: name.to_owned(), in_hal, dependencies, test_dependencies }
     }
 
     fn rules(package: Package) -> Vec<&'static str> {
@@ -490,22 +472,6 @@ mod tests {
         assert_eq!(rules(with("geometry", false, &["serde"], &[])), ["serde"]);
         assert_eq!(rules(with("record", false, &["serde", "serde-saphyr"], &[])), [""; 0]);
         assert_eq!(rules(with("vision", false, &[], &[])), ["unknown-package"]);
-    }
-
-    #[test]
-    fn who_enables_the_switches_of_safeguards_is_caught() {
-        let of = |features: Value, dependencies: Value| {
-            let servo = serde_json::json!({"name": "pb3dp-servo", "source": null, "manifest_path": "/x/crates/servo/Cargo.toml",
-                "dependencies": dependencies, "features": features});
-            rules(packages(&serde_json::json!({"packages": [servo]})).expect("complete").remove(0))
-        };
-        let json = |text: &str| serde_json::from_str::<Value>(text).expect("JSON");
-        let asked_for = json(r#"{"disabled-guards": ["pb3dp-safeguards/disabled-guards"]}"#);
-        assert_eq!(of(asked_for, json("[]")), [""; 0]);
-        assert_eq!(of(json(r#"{"default": ["disabled-guards"]}"#), json("[]")), ["test-feature"]);
-        assert_eq!(of(json(r#"{"fast": ["pb3dp-safeguards/disabled-guards"]}"#), json("[]")), ["test-feature"]);
-        let dependency = r#"[{"name": "pb3dp-safeguards", "kind": "dev", "features": ["disabled-guards"]}]"#;
-        assert_eq!(of(json("{}"), json(dependency)), ["test-feature"]);
     }
 
     #[test]

@@ -62,6 +62,7 @@ impl Distortion {
     }
 
     /// Distorts undistorted normalised coordinates.
+    #[inline]
     pub fn distort(&self, xy: &Vector2<f64>) -> Vector2<f64> {
         match self {
             Self::None => *xy,
@@ -74,6 +75,7 @@ impl Distortion {
     }
 
     /// [`Self::distort`] and its derivative with respect to the undistorted coordinates.
+    #[inline]
     pub fn distort_with_jacobian(&self, xy: &Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
         match self {
             Self::None => (*xy, Matrix2::identity()),
@@ -140,6 +142,7 @@ impl Distortion {
     }
 
     /// The Brown-Conrady parameters; all zero for other models.
+    #[inline]
     fn brown(&self) -> Brown {
         match self {
             Self::BrownConrady5 { coefficients: [k1, k2, p1, p2, k3] } => {
@@ -159,11 +162,13 @@ struct Brown {
 }
 
 impl Brown {
+    #[inline]
     fn rational([k1, k2, p1, p2, k3, k4, k5, k6]: &[f64; 8]) -> Self {
         Self { radial: [*k1, *k2, *k3], divisor: [*k4, *k5, *k6], tangential: [*p1, *p2] }
     }
 
     /// The radial factor at squared radius `s`, and its derivative by `s`.
+    #[inline]
     fn radial_factor(&self, s: f64) -> (f64, f64) {
         let (above, above_slope) = cubic(&self.radial, s);
         let (below, below_slope) = cubic(&self.divisor, s);
@@ -181,6 +186,7 @@ impl Brown {
         factor + 2.0 * s * slope
     }
 
+    #[inline]
     fn distort(&self, xy: &Vector2<f64>) -> Vector2<f64> {
         let (x, y, [p1, p2]) = (xy.x, xy.y, self.tangential);
         let s = x * x + y * y;
@@ -203,6 +209,7 @@ impl Brown {
         [radial(1), radial(2), p1, p2, radial(3), divisor(1), divisor(2), divisor(3)]
     }
 
+    #[inline]
     fn distort_with_jacobian(&self, xy: &Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
         let (x, y, [p1, p2]) = (xy.x, xy.y, self.tangential);
         let (factor, slope) = self.radial_factor(x * x + y * y);
@@ -249,6 +256,7 @@ impl Brown {
 }
 
 /// `1 + a s + b s^2 + c s^3` and its derivative.
+#[inline]
 fn cubic([a, b, c]: &[f64; 3], s: f64) -> (f64, f64) {
     (1.0 + s * (a + s * (b + s * c)), a + s * (2.0 * b + s * 3.0 * c))
 }

@@ -41,16 +41,19 @@ pub struct Pinhole {
 
 impl Pinhole {
     /// The camera matrix K.
+    #[inline]
     pub fn matrix(&self) -> Matrix3<f64> {
         Matrix3::new(self.fx, 0.0, self.cx, 0.0, self.fy, self.cy, 0.0, 0.0, 1.0)
     }
 
     /// Pixel of the ray `(x, y, 1)`.
+    #[inline]
     pub fn pixel_from_normalized(&self, xy: &Vector2<f64>) -> Vector2<f64> {
         Vector2::new(self.fx * xy.x + self.cx, self.fy * xy.y + self.cy)
     }
 
     /// `(x, y)` of the ray `(x, y, 1)` through a pixel.
+    #[inline]
     pub fn normalized_from_pixel(&self, pixel: &Vector2<f64>) -> Vector2<f64> {
         Vector2::new((pixel.x - self.cx) / self.fx, (pixel.y - self.cy) / self.fy)
     }
@@ -135,16 +138,19 @@ impl Camera {
     }
 
     /// Image size.
+    #[inline]
     pub fn size(&self) -> ImageSize {
         self.size
     }
 
     /// The pinhole part.
+    #[inline]
     pub fn pinhole(&self) -> &Pinhole {
         &self.pinhole
     }
 
     /// The distortion part.
+    #[inline]
     pub fn distortion(&self) -> &Distortion {
         &self.distortion
     }
@@ -169,12 +175,14 @@ impl Camera {
     ///
     /// `None` if the point is not in front of the camera, has no finite pixel, or is too far from the axis: there the distortion model
     /// folds back, and would place the point among visible ones.
+    #[inline]
     pub fn project(&self, point_in_cam: &Point3<f64>) -> Option<Vector2<f64>> {
         let xy = self.visible_normalized(point_in_cam)?;
         finite(self.pinhole.pixel_from_normalized(&self.distort(&xy)))
     }
 
     /// [`Self::project`] and the derivative of the pixel with respect to the point, pixels per metre.
+    #[inline]
     pub fn project_with_jacobian(&self, point_in_cam: &Point3<f64>) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
         let xy = self.visible_normalized(point_in_cam)?;
         let (distorted, by_xy) = self.distortion.distort_with_jacobian(&xy);
@@ -200,11 +208,13 @@ impl Camera {
     }
 
     /// Distorts undistorted normalised coordinates.
+    #[inline]
     pub fn distort(&self, xy: &Vector2<f64>) -> Vector2<f64> {
         self.distortion.distort(xy)
     }
 
     /// `(x / z, y / z)` of a point that the model images exactly once.
+    #[inline]
     fn visible_normalized(&self, point_in_cam: &Point3<f64>) -> Option<Vector2<f64>> {
         if point_in_cam.z <= 0.0 {
             return None;
@@ -215,6 +225,7 @@ impl Camera {
 }
 
 /// A pixel that is a number.
+#[inline]
 fn finite(pixel: Vector2<f64>) -> Option<Vector2<f64>> {
     (pixel.x.is_finite() && pixel.y.is_finite()).then_some(pixel)
 }

@@ -2,14 +2,21 @@
 
 use axum::http::Method;
 use axum::response::Response;
-use rust_embed::RustEmbed;
 
 use super::answers::of_kind;
 use crate::refusal::Refusal;
 
-#[derive(RustEmbed)]
-#[folder = "assets/"]
-struct Assets;
+macro_rules! files {
+    ($($name:literal)*) => { &[$(($name, include_bytes!(concat!("../../assets/", $name)))),*] };
+}
+
+/// Every file of the folder `assets`.
+const FILES: &[(&str, &[u8])] = files![
+    "favicon.svg" "index.html" "panel.css"
+    "js/cameras.js" "js/codes.js" "js/commands.js" "js/connection.js" "js/controls.js" "js/dom.js" "js/hold_to_run.js"
+    "js/jog.js" "js/joints.js" "js/main.js" "js/pace.js" "js/plots.js" "js/pointing.js" "js/scene.js" "js/status.js"
+    "js/token.js" "js/types.js" "js/view.js"
+];
 
 /// The file at a path.
 ///
@@ -20,8 +27,8 @@ pub fn asset(method: &Method, path: &str) -> Result<Response, Refusal> {
         return Err(Refusal::Method { path: shortened(path), method: shortened(method.as_str()), allowed: "GET" });
     }
     let name = if path == "/" { "index.html" } else { path.trim_start_matches('/') };
-    let file = Assets::get(name).ok_or_else(|| Refusal::NotFound { path: shortened(path) })?;
-    Ok(of_kind(kind_of(name), file.data.into_owned()))
+    let file = FILES.iter().find(|file| file.0 == name).ok_or_else(|| Refusal::NotFound { path: shortened(path) })?;
+    Ok(of_kind(kind_of(name), file.1))
 }
 
 /// The first characters, for messages.
@@ -42,5 +49,28 @@ fn kind_of(name: &str) -> &'static str {
         Some("webmanifest") => "application/manifest+json",
         Some("txt" | "md") => "text/plain; charset=utf-8",
         _ => "application/octet-stream",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    fn paths(folder: &Path) -> Vec<std::path::PathBuf> {
+        let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+        entries.flat_map(|path| if path.is_dir() { paths(&path) } else { vec![path] }).collect()
+    }
+
+    #[test]
+    fn every_file_of_the_folder_is_in_the_program() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets");
+        let mut found: Vec<String> =
+            paths(&folder).iter().map(|path| path.strip_prefix(&folder).unwrap().display().to_string()).collect();
+        found.sort_unstable();
+        let mut listed: Vec<&str> = FILES.iter().map(|file| file.0).collect();
+        listed.sort_unstable();
+        assert_eq!(found, listed);
     }
 }

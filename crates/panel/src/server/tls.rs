@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use rcgen::{CertifiedKey, generate_simple_self_signed};
+use pb3dp_hal_platform::certificate::{SelfSigned, self_signed};
 use rustls::ServerConfig;
 use rustls::crypto::ring::default_provider;
 use rustls::pki_types::pem::PemObject;
@@ -73,10 +73,10 @@ impl Tls {
 fn own_certificate(host_names: &[String]) -> Result<TlsFiles, Refusal> {
     let always = ["localhost", "127.0.0.1", "::1"].map(str::to_owned);
     let names: Vec<String> = host_names.iter().cloned().chain(always).collect();
-    let CertifiedKey { cert, signing_key } = generate_simple_self_signed(names).map_err(|error| {
-        Refusal::Protection { what: format!("no certificate can be made ({error}): check the host names") }
+    let SelfSigned { certificate_pem, key_pem } = self_signed(names).map_err(|error| Refusal::Protection {
+        what: format!("no certificate can be made ({error}): check the host names"),
     })?;
-    Ok(TlsFiles { certificate_pem: cert.pem(), key_pem: signing_key.serialize_pem() })
+    Ok(TlsFiles { certificate_pem, key_pem })
 }
 
 fn fingerprint(certificate: &CertificateDer<'_>) -> String {

@@ -1,8 +1,8 @@
 //! Files inside the program: setups and the files that they refer to, so that an installed program works anywhere.
 
-use figment::Figment;
-use figment::providers::{Format, Toml};
-use figment::value::Value;
+use figment::value::{Dict, Value};
+
+use super::value_at;
 
 /// A setup inside the program.
 #[derive(Clone, Copy, Debug)]
@@ -89,9 +89,9 @@ pub(crate) fn sample(path: &[String]) -> Option<Value> {
         path => path.to_vec(),
     };
     let texts = [setup("sim")?.text, RIG_EXAMPLE, setup("rig")?.text, setup("hil")?.text, ESTIMATOR, GATEWAY];
-    [path, &of_any_arm].iter().find_map(|path| {
-        texts.iter().find_map(|text| Figment::from(Toml::string(text)).find_value(&path.join(".")).ok())
-    })
+    [path, &of_any_arm]
+        .iter()
+        .find_map(|path| texts.iter().find_map(|text| value_at(&toml::from_str::<Dict>(text).ok()?, path).cloned()))
 }
 
 /// The text of a built-in file with this path.

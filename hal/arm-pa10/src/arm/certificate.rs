@@ -5,10 +5,10 @@ use std::io::{Read as _, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use pb3dp_hal_platform::certificate::{CertificateError, SelfSigned, self_signed};
 use pb3dp_hal_platform::key_file::{KeyFileError, read_secret, write_new_secret};
 use pb3dp_hal_platform::tcp::TcpConfig;
 use pb3dp_hal_platform::transport::ByteLink;
-use rcgen::{CertifiedKey, generate_simple_self_signed};
 use rustls::client::Resumption;
 use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
 use rustls::crypto::{CryptoProvider, WebPkiSupportedAlgorithms, ring, verify_tls13_signature};
@@ -16,8 +16,8 @@ use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer, ServerName, UnixTime};
 use rustls::version::TLS13;
 use rustls::{
-    CertificateError, ClientConfig, ClientConnection, DigitallySignedStruct, PeerIncompatible, ServerConfig,
-    ServerConnection, SignatureScheme,
+    CertificateError as TlsCertificateError, ClientConfig, ClientConnection, DigitallySignedStruct, PeerIncompatible,
+    ServerConfig, ServerConnection, SignatureScheme,
 };
 
 use super::tls::TlsLink;
@@ -75,7 +75,7 @@ pub enum CertificateFileError {
     },
     /// No certificate can be made.
     #[error("no certificate can be made")]
-    Make(#[from] rcgen::Error),
+    Make(#[from] CertificateError),
 }
 
 /// Certificate and private key with which a gateway opens TLS connections.
@@ -151,13 +151,13 @@ impl PinnedCertificate {
 pub fn write_new_certificate(file: &Path) -> Result<PathBuf, CertificateFileError> {
     let key_file = file.with_extension("tls.key");
     let write = |source| CertificateFileError::Write { file: file.to_owned(), source };
-    let CertifiedKey { cert, signing_key } = generate_simple_self_signed([NAME.to_owned()])?;
+    let SelfSigned { certificate_pem, key_pem } = self_signed(vec![NAME.to_owned()])?;
     let mut opened = File::options().write(true).create_new(true).open(file).map_err(write)?;
-    write_new_secret(&key_file, signing_key.serialize_pem().as_bytes()).inspect_err(|_| {
+    write_new_secret(&key_file, key_pem.as_bytes()).inspect_err(|_| {
         // The empty file of this call: without its key it is of no use, and a second try would find it.
         let _ = std::fs::remove_file(file);
     })?;
-    opened.write_all(cert.pem().as_bytes()).and_then(|()| opened.sync_all()).map_err(write)?;
+    opened.write_all(certificate_pem.as_bytes()).and_then(|()| opened.sync_all()).map_err(write)?;
     Ok(key_file)
 }
 
@@ -197,7 +197,7 @@ impl ServerCertVerifier for Pin {
         if end_entity.as_ref() == self.pinned.as_ref() {
             return Ok(ServerCertVerified::assertion());
         }
-        Err(CertificateError::ApplicationVerificationFailure.into())
+        Err(TlsCertificateError::ApplicationVerificationFailure.into())
     }
 
     fn verify_tls12_signature(
