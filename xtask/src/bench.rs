@@ -152,7 +152,7 @@ fn safety(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
     command.args(["run", "--release", "--locked", "--package", "pb3dp-benchmarks", "--example", "safety"]);
     // Only this build can disable safeguards.
     if options.iter().any(|option| option == "--disabled") {
-        command.args(["--features", "disabled-guards", "--config", "profile.release.debug-assertions=true"]);
+        command.args(["--config", "profile.release.debug-assertions=true"]);
     }
     command.args(["--", "--origin", &origin(workspace)]).args(options);
     if options.is_empty() || options == ["--disabled"] {

@@ -18,7 +18,6 @@ use crate::workspace::Workspace;
 /// * No cycle between modules of one parent: those that lib.rs declares, and those of each folder below.
 /// * A list of modules may name backends; backends do not name each other, the estimation or the servo.
 /// * The entry of the estimation has at most 120 public items, and no glob re-export.
-/// * Nothing enables the feature `disabled-guards`, with which tests disable safeguards, unless a build requests it by name.
 /// * The lock file of the fuzz targets has the dependencies of our packages.
 /// * Only setup, cell, commissioning, orchestrator, record, benchmarks and calibration use serde.
 /// * Files, threads, clocks, the environment, the network: only the modules in the table of xtask/src/check_deps/source.rs

@@ -13,11 +13,11 @@ use steps::{Progress, STEPS, Step};
 
 /// Runs all checks, the fastest first, and stops at the first failure.
 ///
-/// Free disk space, fmt, tidy, check-deps, licences, advisories, clippy, rustdoc, tests, safeguards; then, if the change touches what they check: calibration of
+/// Free disk space, fmt, tidy, check-deps, licences, advisories, clippy, rustdoc, tests; then, if the change touches what they check: calibration of
 /// a bare rig by the commands of its documentation, a quick run of the accuracy benchmark, drivers in emulated computers, the
 /// fuzz targets, Miri, the oldest compiler. The change is the difference from the merge base with the main branch (or from the
-/// commit in PB3DP_CI_BASE), with all packages that depend on it; without a known base all checks run. Tests run their long
-/// sweeps for touched packages only. At the end the command prints what it left out.
+/// commit in PB3DP_CI_BASE), with all packages that depend on it, and the tests that use these; without a known base all checks
+/// run. Tests of other packages do not run. At the end the command prints what it left out.
 ///
 /// Warnings of clippy and rustdoc are errors. Needs the rustup components rustfmt and clippy (the error message gives the command
 /// to install them), and otherwise only rustc, cargo and cc. Steps with further needs (QEMU and a kernel, a nightly compiler)
@@ -97,8 +97,7 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
 }
 
 fn take(step: &Step, progress: &mut Progress<'_>) -> (Done, Option<anyhow::Error>) {
-    let is_due = step.of.is_empty() || progress.changes.touch(step.of);
-    if !is_due {
+    if !step.due.after(&progress.changes) {
         return (Done { name: step.name, time: Duration::ZERO, outcome: Outcome::LeftOut }, None);
     }
     println!("== {}", step.name);
@@ -129,10 +128,7 @@ fn judged(name: &'static str, result: anyhow::Result<()>) -> (Outcome, Option<an
 fn summary(done: &[Done], progress: &Progress<'_>) -> String {
     let mut text = table(done);
     if let Changes::Packages { .. } = progress.changes {
-        text.push_str(&format!(
-            "\nleft out: long sweeps of packages that are not touched; {}\n",
-            progress.changes.text()
-        ));
+        text.push_str(&format!("\nleft out: tests of packages that are not touched; {}\n", progress.changes.text()));
     }
     text
 }

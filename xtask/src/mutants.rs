@@ -84,13 +84,13 @@ const PARTS: [Part; 7] = [
         name: "codec",
         package: "pb3dp-arm-pa10-protocol",
         files: "hal/arm-pa10-protocol/src/**/*.rs",
-        tested_by: "pb3dp-arm-pa10-protocol,pb3dp-arm-pa10",
+        tested_by: "pb3dp-arm-pa10-protocol,pb3dp-arm-pa10,pb3dp-arm-pa10-gateway,pb3dp-arm-pa10-emulation",
     },
     Part {
         name: "driver",
         package: "pb3dp-arm-pa10",
         files: "hal/arm-pa10/src/driver/**/*.rs",
-        tested_by: "pb3dp-arm-pa10",
+        tested_by: "pb3dp-arm-pa10,pb3dp-arm-pa10-gateway,pb3dp-arm-pa10-emulation",
     },
     Part {
         name: "gateway",

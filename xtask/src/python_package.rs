@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 
 use crate::python_environment;
-use crate::test::build::FEATURES;
 use crate::workspace::{Workspace, run_visibly};
 
 const TESTS: &str = "tests/python";
@@ -65,7 +64,7 @@ struct Python {
 fn of_test_build(workspace: &Workspace) -> anyhow::Result<Python> {
     let interpreter = python_environment::environment(workspace, "python", TESTS)?;
     let mut build = workspace.cargo();
-    build.args(["build", "--workspace", "--locked", "--features", FEATURES, "--example", EXTENSION]);
+    build.args(["build", "--workspace", "--locked", "--example", EXTENSION]);
     run_visibly(&mut build)?;
     let target = workspace.target_folder()?;
     let path = target.join("python-package");

@@ -8,6 +8,7 @@ mod runner;
 mod scheduling;
 mod timings;
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -62,10 +63,11 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
         return prove_red::run(workspace, args.filter.as_deref());
     }
     if args.no_run {
-        return build::run(workspace, &[], |_| {}).map(|_| ());
+        return build::run(workspace, &[], &Selection::Everything, |_| {}).map(|_| ());
     }
     let long = if args.all { Long::Everywhere } else { Long::Nowhere };
-    let tested = all(workspace, &Plan { long, filter: args.filter.clone() }, |_| {})?;
+    let plan = Plan { packages: Selection::Everything, long, filter: args.filter.clone() };
+    let tested = all(workspace, &plan, |_| {})?;
     if args.timings {
         print!("{}", tested.timings());
     }
@@ -93,8 +95,39 @@ impl Long {
     }
 }
 
+/// Packages to test.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Selection {
+    /// All packages.
+    Everything,
+    /// These packages.
+    Of(BTreeSet<String>),
+}
+
+impl Selection {
+    /// Whether this package is tested.
+    pub fn has(&self, package: &str) -> bool {
+        match self {
+            Self::Everything => true,
+            Self::Of(packages) => packages.contains(package),
+        }
+    }
+
+    /// Arguments of cargo that select the packages for which `may_have` holds.
+    fn arguments(&self, may_have: impl Fn(&str) -> bool) -> Vec<&str> {
+        match self {
+            Self::Everything => vec!["--workspace"],
+            Self::Of(packages) => {
+                packages.iter().filter(|name| may_have(name)).flat_map(|name| ["--package", name]).collect()
+            }
+        }
+    }
+}
+
 /// Selection of the tests.
 pub struct Plan {
+    /// Packages to build and test.
+    pub packages: Selection,
     /// Packages with long sweeps.
     pub long: Long,
     /// A part of the names of the tests to run.
@@ -126,12 +159,12 @@ pub fn all(workspace: &Workspace, plan: &Plan, after_build: impl FnOnce(&[&str])
     let (runner, mut report) = Runner::new(workspace, plan)?;
     let build = |runner: &Runner| {
         let before = runner.precedence.of_build();
-        let built = build::run(workspace, before, |program| runner.ready(program))?;
+        let built = build::run(workspace, before, &plan.packages, |program| runner.ready(program))?;
         after_build(before);
         Ok(built)
     };
     let built = runner.run(build, &mut report)?;
-    report.add(runner::doctests(workspace, plan.filter.as_deref())?);
+    runner::doctests(workspace, plan)?.into_iter().for_each(|run| report.add(run));
     if report.is_empty() {
         bail!("no test ran: check the filter");
     }

@@ -36,7 +36,7 @@ const TEXT_ENDINGS: [&str; 14] = [
 /// * configs/: every TOML file, every robot description and every file of configs/deploy parses; docs/parameters.md lists each parameter of
 ///   configs/estimator.toml with the same default.
 /// * Layout: the top level contains exactly the agreed entries; every package uses the workspace's lints, version and
-///   dependencies, and its root file starts with a `//!` text; every third-party dependency is used, and has its reason in
+///   dependencies, no profile of a release has debug assertions, and its root file starts with a `//!` text; every third-party dependency is used, and has its reason in
 ///   docs/adr/0002-dependencies.md.
 ///
 /// Each violation is printed as `file:line: [rule] remedy`.
@@ -73,6 +73,9 @@ fn check_text(file: &SourceFile, files: &[String], exceptions: &mut Exceptions) 
     if path.ends_with(".md") {
         violations.extend(markdown::check(path, text));
         violations.extend(links::check(path, text, files));
+    }
+    if path == "Cargo.toml" {
+        violations.extend(layout::profiles(path, text));
     }
     if path.ends_with("/Cargo.toml") {
         violations.extend(layout::manifest(path, text));

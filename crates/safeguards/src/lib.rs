@@ -1,17 +1,12 @@
 //! The safeguards that prevent wrong arm motion, by name. A test build can disable them one by one and show that each is
 //! necessary.
 //!
-//! The code that implements a safeguard calls [`is_off`]. Without the feature `disabled-guards` this is the constant `false`, and
-//! no code of this crate remains in a program. With the feature a build without debug assertions does not compile, so no release
-//! of `pb3dp` contains it; a test build of `pb3dp` reports it in its version ([`CAN_BE_OFF`]).
-
-#[cfg(all(feature = "disabled-guards", not(debug_assertions)))]
-compile_error!(
-    "the feature disabled-guards is only for test builds with debug assertions: no program for real arms may have it"
-);
+//! The code that implements a safeguard calls [`is_off`]. Without debug assertions, as in every release, this is the constant
+//! `false`, and no code of this crate remains in a program. A test build of `pb3dp` reports in its version that it has them
+//! ([`CAN_BE_OFF`]).
 
 /// Whether this is a test build in which safeguards can be disabled.
-pub const CAN_BE_OFF: bool = cfg!(feature = "disabled-guards");
+pub const CAN_BE_OFF: bool = cfg!(debug_assertions);
 
 macro_rules! safeguards {
     ($($name:ident $text:literal $what:literal)*) => {
@@ -89,13 +84,13 @@ safeguards! {
 }
 
 /// Whether a test has disabled this safeguard: never, in this build.
-#[cfg(not(feature = "disabled-guards"))]
+#[cfg(not(debug_assertions))]
 #[inline(always)]
 pub const fn is_off(_: Safeguard) -> bool {
     false
 }
 
-#[cfg(feature = "disabled-guards")]
+#[cfg(debug_assertions)]
 mod switches {
     use std::cell::Cell;
 
@@ -133,7 +128,7 @@ mod switches {
     }
 }
 
-#[cfg(feature = "disabled-guards")]
+#[cfg(debug_assertions)]
 pub use switches::{is_off, without};
 
 #[cfg(test)]
@@ -148,7 +143,7 @@ mod tests {
         assert_eq!(names.len(), Safeguard::ALL.len());
     }
 
-    #[cfg(feature = "disabled-guards")]
+    #[cfg(debug_assertions)]
     #[test]
     fn they_are_off_as_long_as_the_work_lasts_and_on_this_thread_only() {
         use Safeguard::{GuardRange, LimiterRange};
@@ -163,9 +158,9 @@ mod tests {
         assert!(panicked.is_err() && !is_off(GuardRange));
     }
 
-    #[cfg(not(feature = "disabled-guards"))]
+    #[cfg(not(debug_assertions))]
     #[test]
-    fn without_the_feature_none_is_off() {
+    fn no_safeguard_can_be_disabled_in_a_release() {
         const { assert!(!is_off(Safeguard::LimiterRange) && !CAN_BE_OFF) }
     }
 }

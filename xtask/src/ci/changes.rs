@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use anyhow::Context;
 use serde_json::Value;
 
-use crate::workspace::Workspace;
+use crate::workspace::{SourceFile, Workspace};
 
 /// Environment variable that gives the base.
 const BASE: &str = "PB3DP_CI_BASE";
@@ -17,21 +17,31 @@ const TRUNKS: [&str; 2] = ["origin/main", "main"];
 pub enum Changes {
     /// All checks are needed, for this reason.
     Everything(String),
-    /// These packages changed, or depend on changed ones.
+    /// Some packages are affected.
     Packages {
-        /// Names of the packages.
-        names: BTreeSet<String>,
+        /// Packages whose product may behave differently: they changed, or depend on changed ones.
+        changed: BTreeSet<String>,
+        /// These, and packages whose tests or examples use them.
+        tested: BTreeSet<String>,
         /// The base commit of the change.
         base: String,
     },
 }
 
 impl Changes {
-    /// Whether one of these packages is affected.
+    /// Whether the tests or the product of one of these packages are affected.
     pub fn touch(&self, packages: &[&str]) -> bool {
         match self {
             Self::Everything(_) => true,
-            Self::Packages { names, .. } => packages.iter().any(|package| names.contains(*package)),
+            Self::Packages { tested, .. } => packages.iter().any(|package| tested.contains(*package)),
+        }
+    }
+
+    /// Whether the product of this package is affected.
+    pub fn change(&self, package: &str) -> bool {
+        match self {
+            Self::Everything(_) => true,
+            Self::Packages { changed, .. } => changed.contains(package),
         }
     }
 
@@ -39,9 +49,9 @@ impl Changes {
     pub fn text(&self) -> String {
         match self {
             Self::Everything(reason) => format!("all checks run: {reason}"),
-            Self::Packages { names, base } if names.is_empty() => format!("since {base} no package is touched"),
-            Self::Packages { names, base } => {
-                let names: Vec<&str> = names.iter().map(String::as_str).collect();
+            Self::Packages { tested, base, .. } if tested.is_empty() => format!("since {base} no package is touched"),
+            Self::Packages { tested, base, .. } => {
+                let names: Vec<&str> = tested.iter().map(String::as_str).collect();
                 format!("touched since {base}: {}", names.join(", "))
             }
         }
@@ -63,7 +73,9 @@ pub fn find(workspace: &Workspace) -> anyhow::Result<Changes> {
         return Ok(Changes::Everything(format!("git cannot list the changes since {base}")));
     };
     let packages = packages(&workspace.metadata()?)?;
-    Ok(touched(changed.lines().chain(new.lines()), &packages, base))
+    let sources = workspace.texts(&[".rs"])?;
+    let readers = |page: &str| readers(page, &sources, &packages);
+    Ok(touched(changed.lines().chain(new.lines()), &packages, readers, base))
 }
 
 /// The base commit of the change; `None` if unknown.
@@ -86,8 +98,10 @@ struct Package {
     name: String,
     /// Folder inside the workspace, with a slash at the end.
     folder: String,
-    /// Names of all its dependencies and those of its tests.
+    /// Names of its dependencies.
     dependencies: Vec<String>,
+    /// Names of the dependencies of its tests and examples.
+    test_dependencies: Vec<String>,
 }
 
 fn packages(metadata: &Value) -> anyhow::Result<Vec<Package>> {
@@ -96,70 +110,133 @@ fn packages(metadata: &Value) -> anyhow::Result<Vec<Package>> {
     let package = |package: &Value| {
         let manifest = package["manifest_path"].as_str()?;
         let folder = manifest.strip_prefix(root)?.trim_start_matches('/').strip_suffix("Cargo.toml")?.to_owned();
-        let dependencies =
-            package["dependencies"].as_array()?.iter().filter_map(|d| Some(d["name"].as_str()?.to_owned()));
-        Some(Package { name: package["name"].as_str()?.to_owned(), folder, dependencies: dependencies.collect() })
+        let (for_tests, others): (Vec<&Value>, _) =
+            package["dependencies"].as_array()?.iter().partition(|dependency| dependency["kind"] == "dev");
+        let names =
+            |list: Vec<&Value>| list.iter().filter_map(|entry| Some(entry["name"].as_str()?.to_owned())).collect();
+        let (dependencies, test_dependencies) = (names(others), names(for_tests));
+        Some(Package { name: package["name"].as_str()?.to_owned(), folder, dependencies, test_dependencies })
     };
     Ok(all.iter().filter(|p| p["source"].is_null()).filter_map(package).collect())
 }
 
-/// Whether no program reads a file, only people.
+/// Whether a file is written for people. Programs may read it too: [`readers`].
 fn is_prose(path: &str) -> bool {
     path.ends_with(".md") || path.starts_with("docs/images/") || path.starts_with("LICENSE")
 }
 
-fn touched<'a>(paths: impl Iterator<Item = &'a str>, packages: &[Package], base: String) -> Changes {
-    let mut names = BTreeSet::new();
-    for path in paths.filter(|path| !is_prose(path)) {
-        let owner = packages.iter().filter(|package| path.starts_with(&package.folder));
-        match owner.max_by_key(|package| package.folder.len()) {
+/// The package of a file.
+fn owner<'a>(path: &str, packages: &'a [Package]) -> Option<&'a Package> {
+    packages.iter().filter(|package| path.starts_with(&package.folder)).max_by_key(|package| package.folder.len())
+}
+
+/// The packages that may read a page, because their code names it or its folder (tests compare pages with the program).
+fn readers(page: &str, sources: &[SourceFile], packages: &[Package]) -> BTreeSet<String> {
+    let folder = page.rsplit_once('/').map_or(page, |(folder, _)| folder);
+    let names = |line: &str| {
+        let is_code = !line.trim_start().starts_with("//");
+        is_code && (line.contains(page) || (folder.contains('/') && line.contains(&format!("{folder}\""))))
+    };
+    let own = owner(page, packages).map(|package| package.name.clone());
+    let reading = sources.iter().filter(|file| file.text.lines().any(names));
+    reading.filter_map(|file| Some(owner(&file.path, packages)?.name.clone())).chain(own).collect()
+}
+
+fn touched<'a>(
+    paths: impl Iterator<Item = &'a str>,
+    packages: &[Package],
+    readers: impl Fn(&str) -> BTreeSet<String>,
+    base: String,
+) -> Changes {
+    let (mut changed, mut tested) = (BTreeSet::new(), BTreeSet::new());
+    for path in paths {
+        if is_prose(path) {
+            tested.extend(readers(path));
+            continue;
+        }
+        match owner(path, packages) {
             // The project commands define the checks: a change of them may affect every result.
-            Some(package) if package.name != "xtask" => names.insert(package.name.clone()),
+            Some(package) if package.name != "xtask" => changed.insert(package.name.clone()),
             _ => return Changes::Everything(format!("{path} affects every package")),
         };
     }
     loop {
-        let depends = |package: &&Package| package.dependencies.iter().any(|name| names.contains(name));
+        let depends = |package: &&Package| package.dependencies.iter().any(|name| changed.contains(name));
         let more: Vec<String> = packages.iter().filter(depends).map(|package| package.name.clone()).collect();
-        let before = names.len();
-        names.extend(more);
-        if names.len() == before {
-            return Changes::Packages { names, base };
+        let before = changed.len();
+        changed.extend(more);
+        if changed.len() == before {
+            break;
         }
     }
+    let uses = |package: &&Package| package.test_dependencies.iter().any(|name| changed.contains(name));
+    tested.extend(packages.iter().filter(uses).map(|package| package.name.clone()));
+    tested.extend(changed.iter().cloned());
+    Changes::Packages { changed, tested, base }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn three() -> Vec<Package> {
-        let package = |name: &str, folder: &str, dependencies: &[&str]| Package {
+    fn five() -> Vec<Package> {
+        let owned = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
+        let package = |name: &str, folder: &str, dependencies: &[&str], test_dependencies: &[&str]| Package {
             name: name.to_owned(),
             folder: folder.to_owned(),
-            dependencies: dependencies.iter().map(|name| (*name).to_owned()).collect(),
+            dependencies: owned(dependencies),
+            test_dependencies: owned(test_dependencies),
         };
         vec![
-            package("pb3dp-geometry", "crates/geometry/", &["nalgebra"]),
-            package("pb3dp-servo", "crates/servo/", &["pb3dp-geometry"]),
-            package("pb3dp-record", "crates/record/", &["pb3dp-geometry"]),
-            package("system-tests", "tests/", &["pb3dp-servo"]),
-            package("xtask", "xtask/", &[]),
+            package("pb3dp-geometry", "crates/geometry/", &["nalgebra"], &[]),
+            package("pb3dp-servo", "crates/servo/", &["pb3dp-geometry"], &[]),
+            package("pb3dp-record", "crates/record/", &["pb3dp-geometry"], &[]),
+            package("system-tests", "tests/", &[], &["pb3dp-servo"]),
+            package("pb3dp-benchmarks", "crates/benchmarks/", &["pb3dp-record"], &["system-tests"]),
+            package("xtask", "xtask/", &[], &[]),
         ]
     }
 
-    fn names(paths: &[&str]) -> Option<Vec<String>> {
-        match touched(paths.iter().copied(), &three(), "abc".to_owned()) {
+    fn sources() -> Vec<SourceFile> {
+        let file = |path: &str, text: &str| SourceFile { path: path.to_owned(), text: text.to_owned() };
+        vec![
+            file("crates/servo/src/lib.rs", "// docs/limits.md\nread(\"docs/servo.md\")"),
+            file("crates/record/tests/main.rs", "let pages = \"../../docs/reference\";"),
+        ]
+    }
+
+    /// Names of the changed packages and of those that only their tests use, if not everything is affected.
+    fn names(paths: &[&str]) -> Option<[Vec<String>; 2]> {
+        let readers = |page: &str| readers(page, &sources(), &five());
+        match touched(paths.iter().copied(), &five(), readers, "abc".to_owned()) {
             Changes::Everything(_) => None,
-            Changes::Packages { names, .. } => Some(names.into_iter().collect()),
+            Changes::Packages { changed, tested, .. } => {
+                let more = tested.difference(&changed).cloned().collect();
+                Some([changed.into_iter().collect(), more])
+            }
         }
     }
 
     #[test]
     fn a_package_is_touched_with_everything_above_it() {
-        assert_eq!(names(&["crates/servo/src/law/hybrid.rs"]).unwrap(), ["pb3dp-servo", "system-tests"]);
-        assert_eq!(names(&["crates/geometry/src/lib.rs"]).unwrap().len(), 4);
-        assert_eq!(names(&["README.md", "docs/servo.md"]).unwrap(), [""; 0]);
+        let found = names(&["crates/servo/src/law/hybrid.rs"]).unwrap();
+        assert_eq!(found, [vec!["pb3dp-servo".to_owned()], vec!["system-tests".to_owned()]]);
+        let [changed, more] = names(&["crates/geometry/src/lib.rs"]).unwrap();
+        assert_eq!((changed.len(), more), (4, vec!["system-tests".to_owned()]));
+    }
+
+    #[test]
+    fn a_page_touches_the_packages_that_read_it() {
+        let readers = |page: &str| {
+            let [changed, read] = names(&[page]).unwrap();
+            assert_eq!(changed, [""; 0], "{page}");
+            read
+        };
+        assert_eq!(readers("README.md"), [""; 0]);
+        assert_eq!(readers("docs/limits.md"), [""; 0]);
+        assert_eq!(readers("docs/servo.md"), ["pb3dp-servo"]);
+        assert_eq!(readers("docs/reference/keys.md"), ["pb3dp-record"]);
+        assert_eq!(readers("crates/geometry/README.md"), ["pb3dp-geometry"]);
     }
 
     #[test]
@@ -176,10 +253,14 @@ mod tests {
             "packages": [
                 { "name": "serde", "source": "registry", "manifest_path": "/r/serde/Cargo.toml", "dependencies": [] },
                 { "name": "pb3dp-servo", "source": null, "manifest_path": "/w/crates/servo/Cargo.toml",
-                  "dependencies": [{ "name": "serde" }] },
+                  "dependencies": [{ "name": "serde", "kind": null }, { "name": "tempfile", "kind": "dev" }] },
             ],
         });
         let found = packages(&metadata).unwrap();
         assert_eq!((found.len(), found[0].folder.as_str()), (1, "crates/servo/"));
+        assert_eq!(
+            (&found[0].dependencies[..], &found[0].test_dependencies[..]),
+            (&["serde".to_owned()][..], &["tempfile".to_owned()][..])
+        );
     }
 }

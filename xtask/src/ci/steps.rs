@@ -9,6 +9,7 @@ use anyhow::{Context, anyhow, bail};
 
 use super::changes::Changes;
 use super::space;
+use crate::test::Selection;
 use crate::workspace::{Workspace, run_visibly};
 use crate::{
     check_deps, commissioning, fuzz_build, licences, miri, msrv, panel, python_package, recordings, required, test,
@@ -88,17 +89,38 @@ impl Progress<'_> {
     }
 }
 
+/// The changes for which a step runs.
+#[derive(Clone, Copy)]
+pub enum Due {
+    /// All.
+    Always,
+    /// Those that affect the product of one of these packages.
+    Product(&'static [&'static str]),
+    /// Those that affect the product or the tests of one of these packages.
+    Tests(&'static [&'static str]),
+}
+
+impl Due {
+    /// Whether a step is due after these changes.
+    pub fn after(self, changes: &Changes) -> bool {
+        match self {
+            Self::Always => true,
+            Self::Product(packages) => packages.iter().any(|package| changes.change(package)),
+            Self::Tests(packages) => changes.touch(packages),
+        }
+    }
+}
+
 /// A step.
 pub struct Step {
     /// Name on the command line.
     pub name: &'static str,
-    /// The packages for whose change it runs; empty for a step that always runs.
-    pub of: &'static [&'static str],
+    /// When it runs.
+    pub due: Due,
     /// Runs the step.
     pub run: fn(&mut Progress<'_>) -> anyhow::Result<()>,
 }
 
-const ALWAYS: &[&str] = &[];
 /// Packages with unsafe kernels or fuzz targets.
 const KERNELS: &[&str] = &[
     "pb3dp-estimation-core",
@@ -112,38 +134,45 @@ const FUZZED: &[&str] = &["pb3dp-estimation", "pb3dp-arm-pa10-test-support"];
 const MANIFESTS: &[&str] = &["manifests"];
 
 /// The steps, the fastest first.
-pub const STEPS: [Step; 19] = [
-    Step { name: "space", of: ALWAYS, run: |progress| space::check(progress.workspace) },
-    Step { name: "fmt", of: ALWAYS, run: |progress| fmt(progress.workspace) },
-    Step { name: "tidy", of: ALWAYS, run: |progress| tidy::run(progress.workspace, &tidy::Args {}) },
-    Step { name: "check-deps", of: ALWAYS, run: |progress| check_deps::run(progress.workspace, &check_deps::Args {}) },
-    Step { name: "licences", of: ALWAYS, run: |progress| licences::run(progress.workspace) },
-    Step { name: "advisories", of: ALWAYS, run: |progress| licences::advisories(progress.workspace) },
-    Step { name: "clippy", of: ALWAYS, run: |progress| clippy(progress.workspace) },
-    Step { name: "doc", of: ALWAYS, run: |progress| doc(progress.workspace) },
-    Step { name: "test", of: ALWAYS, run: tests },
-    Step { name: "safeguards", of: ALWAYS, run: |progress| safeguards(progress.workspace) },
+pub const STEPS: [Step; 18] = [
+    Step { name: "space", due: Due::Always, run: |progress| space::check(progress.workspace) },
+    Step { name: "fmt", due: Due::Always, run: |progress| fmt(progress.workspace) },
+    Step { name: "tidy", due: Due::Always, run: |progress| tidy::run(progress.workspace, &tidy::Args {}) },
+    Step {
+        name: "check-deps",
+        due: Due::Always,
+        run: |progress| check_deps::run(progress.workspace, &check_deps::Args {}),
+    },
+    Step { name: "licences", due: Due::Always, run: |progress| licences::run(progress.workspace) },
+    Step { name: "advisories", due: Due::Always, run: |progress| licences::advisories(progress.workspace) },
+    Step { name: "clippy", due: Due::Always, run: |progress| clippy(progress.workspace) },
+    Step { name: "doc", due: Due::Always, run: |progress| doc(progress.workspace) },
+    Step { name: "test", due: Due::Always, run: tests },
     Step {
         name: "commissioning",
-        of: &["pb3dp-calibration", "pb3dp-orchestrator"],
+        due: Due::Product(&["pb3dp-calibration", "pb3dp-orchestrator"]),
         run: |progress| commissioning::calibrate(progress.workspace, progress.programs()),
     },
     Step {
         name: "recordings",
-        of: &["pb3dp-bag", "pb3dp-recording", "pb3dp-camera-replay", "pb3dp-orchestrator"],
+        due: Due::Product(&["pb3dp-bag", "pb3dp-recording", "pb3dp-camera-replay", "pb3dp-orchestrator"]),
         run: |progress| recordings::check(progress.workspace, progress.programs()),
     },
     Step {
         name: "python",
-        of: &["pb3dp-python", "pb3dp-orchestrator"],
+        due: Due::Tests(&["pb3dp-python", "pb3dp-orchestrator"]),
         run: |progress| python_package::check(progress.workspace, progress.programs()),
     },
-    Step { name: "panel", of: &["pb3dp-panel"], run: driven_panel },
-    Step { name: "accuracy", of: &[MEASURED], run: accuracy },
-    Step { name: "vm", of: &["pb3dp-arm-pa10-emulation", "pb3dp-camera-v4l2", "system-tests"], run: guests },
-    Step { name: "fuzz", of: FUZZED, run: |progress| fuzz_build::run(progress.workspace) },
-    Step { name: "miri", of: KERNELS, run: |progress| miri::run(progress.workspace) },
-    Step { name: "msrv", of: MANIFESTS, run: |progress| msrv::run(progress.workspace) },
+    Step { name: "panel", due: Due::Tests(&["pb3dp-panel"]), run: driven_panel },
+    Step { name: "accuracy", due: Due::Product(&[MEASURED]), run: accuracy },
+    Step {
+        name: "vm",
+        due: Due::Tests(&["pb3dp-arm-pa10-emulation", "pb3dp-camera-v4l2", "system-tests"]),
+        run: guests,
+    },
+    Step { name: "fuzz", due: Due::Tests(FUZZED), run: |progress| fuzz_build::run(progress.workspace) },
+    Step { name: "miri", due: Due::Product(KERNELS), run: |progress| miri::run(progress.workspace) },
+    Step { name: "msrv", due: Due::Product(MANIFESTS), run: |progress| msrv::run(progress.workspace) },
 ];
 
 /// Fails with the install command if a component of the toolchain is missing.
@@ -172,26 +201,31 @@ fn doc(workspace: &Workspace) -> anyhow::Result<()> {
     run_visibly(&mut command)
 }
 
-/// All tests, with the long sweeps of the affected packages. The required safety tests must have been checked.
+/// The tests of the affected packages, with their long sweeps if their product is affected, and those of the project commands, which
+/// read most files. The required safety tests must have been checked.
 fn tests(progress: &mut Progress<'_>) -> anyhow::Result<()> {
-    let long = match &progress.changes {
-        Changes::Everything(_) => test::Long::Everywhere,
-        Changes::Packages { names, .. } => test::Long::In(names.iter().cloned().collect()),
+    let (packages, long) = match &progress.changes {
+        Changes::Everything(_) => (Selection::Everything, test::Long::Everywhere),
+        Changes::Packages { changed, tested, .. } => {
+            let packages = tested.iter().cloned().chain(["xtask".to_owned()]).collect();
+            (Selection::Of(packages), test::Long::In(changed.iter().cloned().collect()))
+        }
     };
     let (workspace, changes, is_alone) = (progress.workspace, &progress.changes, progress.is_alone);
     let mut ahead = None;
     let start = |before: &[&str]| ahead = if is_alone { None } else { build_ahead(workspace, changes, before) };
-    let tested = test::all(workspace, &test::Plan { long, filter: None }, start)?;
+    let plan = test::Plan { packages, long, filter: None };
+    let tested = test::all(workspace, &plan, start)?;
     progress.ahead = ahead;
     let tested = progress.tested.insert(tested);
     tested.report.conclude()?;
-    required::check(&tested.report)
+    required::check(&tested.report, &plan.packages)
 }
 
 /// Starts the build for `accuracy` and `vm`, where a program of lower priority disturbs no test: the last tests and the steps after them keep
 /// one processor busy.
 fn build_ahead(workspace: &Workspace, changes: &Changes, before: &[&str]) -> Option<Beside> {
-    if before.is_empty() || !changes.touch(&[MEASURED]) {
+    if before.is_empty() || !changes.change(MEASURED) {
         return None;
     }
     let log = workspace.target_folder().ok()?.join("ci-guests.log");
@@ -214,24 +248,6 @@ fn build_of_guests(workspace: &Workspace, changes: &Changes, before: &[&str]) ->
 
 /// The package of the accuracy benchmark.
 const MEASURED: &str = "pb3dp-benchmarks";
-
-/// The feature that lets tests disable safeguards.
-const SWITCHES: &str = "disabled-guards";
-
-/// No release can contain the disabling of safeguards, and without the feature none can be disabled. The tests of the example
-/// `safety` show that disabling any safeguard causes a violation.
-fn safeguards(workspace: &Workspace) -> anyhow::Result<()> {
-    let package = ["--locked", "--package", "pb3dp-safeguards"];
-    run_visibly(workspace.cargo().arg("test").args(package))?;
-    let mut release = workspace.cargo();
-    release.args(["check", "--release", "--features", SWITCHES]).args(package);
-    let built = release.output().context("cannot run cargo")?;
-    let said = String::from_utf8_lossy(&built.stderr);
-    if built.status.success() || !said.contains("no program for real arms may have it") {
-        bail!("a release was built with the feature {SWITCHES}, or failed for another reason:\n{said}");
-    }
-    Ok(())
-}
 
 /// The panel in a browser, on a quiet machine.
 fn driven_panel(progress: &mut Progress<'_>) -> anyhow::Result<()> {

@@ -7,14 +7,17 @@ use std::process::Stdio;
 use anyhow::{Context, bail};
 use serde_json::Value;
 
+use super::Selection;
 use super::timings::{self, Unit};
 use crate::workspace::Workspace;
 
-/// Examples with tests. Clippy checks the others.
-const TESTED_EXAMPLES: [&str; 4] = ["safety", "servo", "soak", "there_and_back"];
-
-/// Tests disable safeguards one by one, which must cause violations.
-pub const FEATURES: &str = "pb3dp-benchmarks/disabled-guards";
+/// Examples with tests, and their packages. Clippy checks the others.
+const TESTED_EXAMPLES: [(&str, &str); 4] = [
+    ("safety", "pb3dp-benchmarks"),
+    ("servo", "pb3dp-benchmarks"),
+    ("soak", "system-tests"),
+    ("there_and_back", "pb3dp-benchmarks"),
+];
 
 /// A test program that was built.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -65,21 +68,27 @@ impl Built {
     }
 }
 
-/// Builds everything, and passes on each test program as soon as it is built. `before` is the prefix of the cargo command.
+/// Builds the selected packages, and passes on each test program as soon as it is built. `before` is the prefix of the cargo command.
 ///
 /// # Errors
 /// If something does not build.
-pub fn run(workspace: &Workspace, before: &[&str], mut ready: impl FnMut(Program)) -> anyhow::Result<Built> {
+pub fn run(
+    workspace: &Workspace,
+    before: &[&str],
+    packages: &Selection,
+    mut ready: impl FnMut(Program),
+) -> anyhow::Result<Built> {
+    let selected = packages.arguments(|_| true);
     let mut command = workspace.cargo_after(before);
-    command.args(["test", "--workspace", "--locked", "--no-run", "--lib", "--bins", "--tests", "--timings"]);
-    command.args(["--features", FEATURES]);
-    command.args(TESTED_EXAMPLES.iter().flat_map(|name| ["--example", name]));
+    command.arg("test").args(&selected).args(["--locked", "--no-run", "--lib", "--bins", "--tests", "--timings"]);
+    let examples = TESTED_EXAMPLES.iter().filter(|(_, package)| packages.has(package));
+    command.args(examples.flat_map(|(name, _)| ["--example", name]));
     command.args(["--quiet", "--message-format", "json-render-diagnostics"]);
-    println!("$ cargo test --workspace --no-run");
+    println!("$ cargo test {} --no-run", selected.join(" "));
     let mut child = command.stdout(Stdio::piped()).spawn().context("cannot run cargo")?;
     let output = child.stdout.take().context("cargo has no output")?;
     let mut built = Built { programs: Vec::new(), target: workspace.target_folder()? };
-    let mut handover = Handover::new(&workspace.metadata()?);
+    let mut handover = Handover::new(&workspace.metadata()?, packages);
     for line in BufReader::new(output).lines() {
         let message: Value = serde_json::from_str(&line?).context("cargo did not print JSON")?;
         let Some((is_test, program)) = artifact(&message) else { continue };
@@ -104,10 +113,11 @@ struct Handover {
 
 impl Handover {
     /// Reads `cargo metadata`.
-    fn new(metadata: &Value) -> Self {
+    fn new(metadata: &Value, packages: &Selection) -> Self {
         let of = |value: &Value| value["name"].as_str().unwrap_or_default().to_owned();
         let mut awaited = Vec::new();
-        for package in metadata["packages"].as_array().into_iter().flatten() {
+        let all = metadata["packages"].as_array().into_iter().flatten();
+        for package in all.filter(|package| packages.has(&of(package))) {
             let targets = package["targets"].as_array().into_iter().flatten();
             awaited.extend(targets.filter(|target| target["kind"][0] == "bin").map(|target| (of(package), of(target))));
         }
@@ -159,7 +169,7 @@ mod tests {
     fn tests_wait_for_the_programs_that_they_start() {
         let package = |name: &str, kind: &str, target: &str| serde_json::json!({ "name": name, "targets": [{ "name": target, "kind": [kind] }] });
         let packages = [package("pb3dp-servo", "lib", "pb3dp_servo"), package("pb3dp-calibration", "bin", "calibrate")];
-        let mut handover = Handover::new(&serde_json::json!({ "packages": packages }));
+        let mut handover = Handover::new(&serde_json::json!({ "packages": packages }), &Selection::Everything);
         let program = |package: &str, kind: &str, target: &str| Program {
             package: package.to_owned(),
             target: target.to_owned(),

@@ -11,6 +11,7 @@ use std::thread::available_parallelism;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
+use serde_json::Value;
 
 use super::report::{Report, Run};
 use super::scheduling::{LowSession, Precedence};
@@ -277,17 +278,27 @@ impl Runner {
     }
 }
 
-/// Runs the documentation examples of all libraries without `doctest = false`.
+/// Runs the documentation examples of the selected libraries without `doctest = false`; `None` if there is none.
 ///
 /// # Errors
 /// If cargo cannot be run.
-pub fn doctests(workspace: &Workspace, filter: Option<&str>) -> anyhow::Result<Run> {
+pub fn doctests(workspace: &Workspace, plan: &Plan) -> anyhow::Result<Option<Run>> {
     let begin = Instant::now();
+    let metadata = workspace.metadata()?;
+    let selected = plan.packages.arguments(|package| has_doctests(&metadata, package));
+    if selected.is_empty() {
+        return Ok(None);
+    }
     let mut command = workspace.cargo();
-    command.args(["test", "--quiet", "--doc", "--locked", "--workspace", "--features", super::build::FEATURES]);
-    let output = command.args(filter).output().context("cannot run cargo")?;
+    command.args(["test", "--quiet", "--doc", "--locked"]).args(selected);
+    let output = command.args(&plan.filter).output().context("cannot run cargo")?;
     let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).concat();
-    Ok(Run::read("examples in the documentation".to_owned(), text, output.status.success(), begin.elapsed()))
+    Ok(Some(Run::read("examples in the documentation".to_owned(), text, output.status.success(), begin.elapsed())))
+}
+
+fn has_doctests(metadata: &Value, package: &str) -> bool {
+    let packages = metadata["packages"].as_array().into_iter().flatten().filter(|found| found["name"] == package);
+    packages.flat_map(|found| found["targets"].as_array().into_iter().flatten()).any(|target| target["doctest"] == true)
 }
 
 /// Waits for the end of a program; returns whether it succeeded.

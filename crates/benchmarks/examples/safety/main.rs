@@ -10,7 +10,7 @@ mod figures;
 mod kept;
 mod page;
 mod program_log;
-#[cfg(feature = "disabled-guards")]
+#[cfg(debug_assertions)]
 mod proofs;
 mod recorder;
 mod restart;
@@ -330,14 +330,14 @@ fn main() -> Result<ExitCode> {
 }
 
 /// Disables each safeguard.
-#[cfg(feature = "disabled-guards")]
+#[cfg(debug_assertions)]
 fn disabled(args: &Args) -> Result<ExitCode> {
     proofs::run(args)
 }
 
 /// # Errors
 /// Always.
-#[cfg(not(feature = "disabled-guards"))]
+#[cfg(not(debug_assertions))]
 fn disabled(_: &Args) -> Result<ExitCode> {
     bail!("--disabled: this build cannot disable safeguards; use `cargo xtask bench safety --disabled`")
 }

@@ -7,14 +7,14 @@ use std::path::Path;
 use anyhow::Context;
 use pb3dp_servo::supervisor::State;
 
-#[cfg(feature = "disabled-guards")]
+#[cfg(debug_assertions)]
 use pb3dp_safeguards::Safeguard;
-#[cfg(feature = "disabled-guards")]
+#[cfg(debug_assertions)]
 use system_tests::safety::invariants::Violation;
 
 use crate::effects::ENABLING;
 use crate::figures::{Count, Figures};
-#[cfg(feature = "disabled-guards")]
+#[cfg(debug_assertions)]
 use crate::proofs::Shown;
 use crate::replay;
 
@@ -47,7 +47,7 @@ pub fn write_part(folder: &Path, runs: Option<&str>, safeguards: Option<&str>) -
 }
 
 /// The table of safeguards that were disabled one by one, and the limits of these runs.
-#[cfg(feature = "disabled-guards")]
+#[cfg(debug_assertions)]
 pub fn safeguards(shown: &[Shown], elsewhere: &[(Safeguard, &str)], origin: &str) -> String {
     let mut page = String::new();
     // Writing to a string cannot fail.
@@ -55,7 +55,7 @@ pub fn safeguards(shown: &[Shown], elsewhere: &[(Safeguard, &str)], origin: &str
     page
 }
 
-#[cfg(feature = "disabled-guards")]
+#[cfg(debug_assertions)]
 fn write_safeguards(
     page: &mut String,
     shown: &[Shown],
@@ -100,7 +100,7 @@ fn write_safeguards(
 }
 
 /// The invariants that are violated.
-#[cfg(feature = "disabled-guards")]
+#[cfg(debug_assertions)]
 fn broken(violations: &[Violation]) -> String {
     let mut names: Vec<_> = violations.iter().map(|violation| violation.invariant.name()).collect();
     names.dedup();
