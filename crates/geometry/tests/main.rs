@@ -6,3 +6,4 @@ mod lens;
 mod lie_groups;
 mod maps;
 mod pinocchio;
+mod value_range;

@@ -1,4 +1,4 @@
-//! Integration tests of the PA-10 driver, its gateway and its emulation.
+//! Integration tests of the PA-10 driver, and of its chain with the gateway and the emulation.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout, reason = "helpers of tests")]
 
 mod bus_format;
@@ -6,9 +6,6 @@ mod certificate_files;
 mod chain_injections;
 mod chain_line;
 mod chain_shown;
-mod codec_golden;
-mod codec_properties;
-mod conformance;
 mod driver;
 mod driver_connection;
 mod driver_doubts;
@@ -16,17 +13,8 @@ mod driver_owner;
 mod driver_properties;
 mod driver_table;
 mod driver_words;
-mod frame_parser;
-mod gateway_abort;
 mod gateway_limits;
-mod gateway_local;
-mod gateway_properties;
-mod gateway_protocol;
-mod gateway_rest;
 mod gateway_restart;
-mod gateway_table;
-mod gateway_watchdogs;
-mod gateway_work;
 mod host_fault;
 mod io_bus;
 mod io_links;
@@ -38,10 +26,8 @@ mod link_faults;
 mod mock_controller;
 mod mock_exposes_bugs;
 mod mock_injections;
-mod mock_script;
 mod no_allocation;
 mod old_measurements;
-mod random_bytes;
 mod real_time;
 mod unheard_bus;
 mod unheard_gateway;

@@ -8,4 +8,5 @@ mod guard;
 mod last_command;
 mod limiter;
 mod real_time;
+mod recent_failures;
 mod recorder;

@@ -48,8 +48,8 @@ fn the_unit_starts_what_the_program_understands() {
     Cli::try_parse_from(&words).unwrap();
 }
 
-/// A gateway that is started anew is idle (`hal/arm-pa10/tests/gateway_properties.rs`), so that may happen by itself; nothing
-/// that moves an arm may be started so.
+/// A gateway that is started anew is idle (`hal/arm-pa10-gateway/tests/gateway_properties.rs`), so that may happen by itself;
+/// nothing that moves an arm may be started so.
 #[test]
 fn nothing_is_started_by_itself_that_moves_an_arm() {
     let units = std::fs::read_dir(repository().join("configs/deploy")).unwrap();

@@ -213,7 +213,13 @@ fn the_documentation_names_tests_that_exist() {
     let hal = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
     let mut found = 0;
     for (file, test) in table.split('`').skip(1).step_by(2).filter_map(|quoted| quoted.split_once("::")) {
-        let folders = ["arm-pa10/tests", "arm-pa10/tests/real_time", "arm-pa10/tests/alone", "middleware/tests"];
+        let folders = [
+            "arm-pa10/tests",
+            "arm-pa10/tests/real_time",
+            "arm-pa10/tests/alone",
+            "arm-pa10-gateway/tests",
+            "middleware/tests",
+        ];
         let paths = folders.map(|folder| hal.join(folder).join(format!("{file}.rs")));
         let text: String = paths.iter().filter_map(|path| std::fs::read_to_string(path).ok()).collect();
         assert!(text.contains(&format!("#[test]\nfn {test}()")), "{file}::{test}");
