@@ -29,9 +29,7 @@ pub struct Args {
 /// If the program does not build, the run fails, or the report is missing.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     let package = ["--release", "--locked", "--package", "pb3dp-orchestrator", "--bin", "pb3dp"];
-    println!(
-        "Building pb3dp with optimisation (3 to 7 minutes the first time)."
-    );
+    println!("Building pb3dp with optimisation (3 to 7 minutes the first time).");
     let start = Instant::now();
     run_visibly(workspace.cargo().arg("build").args(package))?;
     println!("Built in {:.0} s. Now the experiment.", start.elapsed().as_secs_f64());

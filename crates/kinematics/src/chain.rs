@@ -4,9 +4,10 @@ use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, Flange};
 
+use crate::chain_error::ChainError;
 use crate::jacobian::Jacobian;
 use crate::limits::JointLimits;
-use crate::urdf::{self, ChainError, ChainParts};
+use crate::urdf::{self, ChainParts};
 use crate::{DOF, JointVector};
 
 /// A serial arm of six or seven revolute joints.

@@ -4,7 +4,7 @@
 
 use roxmltree::{Document, Node, ParsingOptions};
 
-use crate::urdf::ChainError;
+use crate::chain_error::ChainError;
 
 /// Largest number of elements, texts and comments in a description. Chosen: the arms in `configs/robots/` have fewer than 300,
 /// and a tree of this size takes less than 20 MB.

@@ -10,6 +10,7 @@
 //! Units are metres, radians and seconds; six or seven revolute joints, as in the description, numbered from the base.
 
 pub mod chain;
+mod chain_error;
 pub mod clearance;
 mod description;
 pub mod effective_limits;
@@ -22,6 +23,7 @@ use nalgebra::SVector;
 use pb3dp_geometry::MonotonicTime;
 
 pub use chain::{Chain, JointFrames};
+pub use chain_error::ChainError;
 pub use clearance::{
     ArmPart, ArmShape, ArmShapeError, Capsule, Carrier, Clearance, PlacedArm, clearance, clearance_within,
 };
@@ -32,7 +34,6 @@ pub use jacobian::{
 };
 pub use limits::{JointLimits, JointLimitsError, PositionViolation};
 pub use reach::{NotReached, reach};
-pub use urdf::ChainError;
 
 /// Largest number of joints of an arm. The description gives the actual number ([`Chain::joints`]).
 pub const DOF: usize = 7;

@@ -16,6 +16,7 @@ const FILES: &[(&str, &[u8])] = files![
     "js/cameras.js" "js/codes.js" "js/commands.js" "js/connection.js" "js/controls.js" "js/dom.js" "js/hold_to_run.js"
     "js/jog.js" "js/joints.js" "js/main.js" "js/pace.js" "js/plots.js" "js/pointing.js" "js/scene.js" "js/status.js"
     "js/token.js" "js/types.js" "js/view.js"
+    "vendor/uplot/LICENSE" "vendor/uplot/uPlot.iife.min.js" "vendor/uplot/uPlot.min.css"
 ];
 
 /// The file at a path.
