@@ -65,7 +65,7 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     if args.no_run {
         return build::run(workspace, &[], &Selection::Everything, |_| {}).map(|_| ());
     }
-    let long = if args.all { Long::Everywhere } else { Long::Nowhere };
+    let long = if args.all { Selection::Everything } else { Selection::Of(BTreeSet::new()) };
     let plan = Plan { packages: Selection::Everything, long, filter: args.filter.clone() };
     let tested = all(workspace, &plan, |_| {})?;
     if args.timings {
@@ -74,28 +74,7 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     tested.report.conclude()
 }
 
-/// Packages that run their long sweeps.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Long {
-    /// None.
-    Nowhere,
-    /// All packages.
-    Everywhere,
-    /// These packages.
-    In(Vec<String>),
-}
-
-impl Long {
-    fn includes(&self, package: &str) -> bool {
-        match self {
-            Self::Nowhere => false,
-            Self::Everywhere => true,
-            Self::In(packages) => packages.iter().any(|name| name == package),
-        }
-    }
-}
-
-/// Packages to test.
+/// A set of packages.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Selection {
     /// All packages.
@@ -105,7 +84,7 @@ pub enum Selection {
 }
 
 impl Selection {
-    /// Whether this package is tested.
+    /// Whether the set has this package.
     pub fn has(&self, package: &str) -> bool {
         match self {
             Self::Everything => true,
@@ -129,7 +108,7 @@ pub struct Plan {
     /// Packages to build and test.
     pub packages: Selection,
     /// Packages with long sweeps.
-    pub long: Long,
+    pub long: Selection,
     /// A part of the names of the tests to run.
     pub filter: Option<String>,
 }

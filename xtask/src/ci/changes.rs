@@ -179,7 +179,7 @@ fn touched<'a>(
 mod tests {
     use super::*;
 
-    fn five() -> Vec<Package> {
+    fn six() -> Vec<Package> {
         let owned = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
         let package = |name: &str, folder: &str, dependencies: &[&str], test_dependencies: &[&str]| Package {
             name: name.to_owned(),
@@ -207,8 +207,8 @@ mod tests {
 
     /// Names of the changed packages and of those that only their tests use, if not everything is affected.
     fn names(paths: &[&str]) -> Option<[Vec<String>; 2]> {
-        let readers = |page: &str| readers(page, &sources(), &five());
-        match touched(paths.iter().copied(), &five(), readers, "abc".to_owned()) {
+        let readers = |page: &str| readers(page, &sources(), &six());
+        match touched(paths.iter().copied(), &six(), readers, "abc".to_owned()) {
             Changes::Everything(_) => None,
             Changes::Packages { changed, tested, .. } => {
                 let more = tested.difference(&changed).cloned().collect();

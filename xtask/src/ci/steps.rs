@@ -205,10 +205,10 @@ fn doc(workspace: &Workspace) -> anyhow::Result<()> {
 /// read most files. The required safety tests must have been checked.
 fn tests(progress: &mut Progress<'_>) -> anyhow::Result<()> {
     let (packages, long) = match &progress.changes {
-        Changes::Everything(_) => (Selection::Everything, test::Long::Everywhere),
+        Changes::Everything(_) => (Selection::Everything, Selection::Everything),
         Changes::Packages { changed, tested, .. } => {
             let packages = tested.iter().cloned().chain(["xtask".to_owned()]).collect();
-            (Selection::Of(packages), test::Long::In(changed.iter().cloned().collect()))
+            (Selection::Of(packages), Selection::Of(changed.clone()))
         }
     };
     let (workspace, changes, is_alone) = (progress.workspace, &progress.changes, progress.is_alone);

@@ -15,7 +15,7 @@ use serde_json::Value;
 
 use super::report::{Report, Run};
 use super::scheduling::{LowSession, Precedence};
-use super::{Built, Long, Plan, build::Program, notebook};
+use super::{Built, Plan, Selection, build::Program, notebook};
 use crate::workspace::Workspace;
 
 /// The module of the tests that must run in real time.
@@ -77,7 +77,7 @@ pub struct Runner {
     changed: Condvar,
     /// Priority of real-time tests.
     pub precedence: Precedence,
-    long: Long,
+    long: Selection,
     filter: Option<String>,
     /// Duration of each run last time, s.
     before: BTreeMap<String, f64>,
@@ -252,7 +252,7 @@ impl Runner {
         let mut command = Command::new(words.next().unwrap_or_default());
         command.args(words).current_dir(folder).env("CARGO_MANIFEST_DIR", folder).env("CARGO_PKG_NAME", package);
         command.env_remove(LONG_TESTS);
-        if self.long.includes(package) {
+        if self.long.has(package) {
             command.env(LONG_TESTS, "1");
         }
         match job.part {
