@@ -141,10 +141,12 @@ mod tests {
             }
         }
 
-        /// Nothing is said for two seconds in which the target is ready; then a typed `start` is.
+        /// Nothing starts in two seconds in which the target is ready; then a typed `start` does.
         fn needs_a_typed_start(&mut self, from_s: f64) {
             for step in 0..20 {
-                assert_eq!(self.said(Some(ready()), from_s + f64::from(step) * 0.1), None, "step {step}");
+                // On a busy machine the command of the last line comes now: a line is heard before its command.
+                let said = self.said(Some(ready()), from_s + f64::from(step) * 0.1);
+                assert_ne!(said, Some(OperatorCommand::Start), "step {step}");
             }
             assert!(!self.operator.carries_before_start());
             let mut said = self.types("start", ready(), from_s + 2.0);

@@ -27,8 +27,8 @@ use crate::progress;
 /// Capacity of the queue of lines; further lines are dropped and counted.
 const WAITING_MAX: usize = 16_384;
 
-/// Longest wait at the end of the program for lines that are not written yet.
-const LAST_WORDS_MAX: Duration = Duration::from_millis(500);
+/// Longest wait at the end of the program for lines that are not written yet: on a busy machine their thread runs late.
+const LAST_WORDS_MAX: Duration = Duration::from_secs(3);
 
 /// Polling interval of that wait.
 const LOOK: Duration = Duration::from_millis(1);

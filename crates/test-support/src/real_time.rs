@@ -73,22 +73,26 @@ pub fn in_real_time_beside_others<T: Fn()>(test: T) {
     in_real_time_as(&name_of::<T>(), Turn::BesideOthers, Priority::Granted, test);
 }
 
-/// As [`in_real_time`], for a test of programs or threads with computing load: they request the priority that they need
-/// themselves, as on a rig. With a priority for all their computing they would block the communication lines on which they
+/// As [`in_real_time_beside_others`], for a test of programs or threads with computing load: they request the priority that they
+/// need themselves, as on a rig. With a priority for all their computing they would block the communication lines on which they
 /// depend.
-///
-/// # Panics
-/// If the test fails.
-pub fn programs_in_real_time<T: Fn()>(test: T) {
-    in_real_time_as(&name_of::<T>(), Turn::Alone, Priority::Usual, test);
-}
-
-/// As [`programs_in_real_time`], in parallel with other such tests.
 ///
 /// # Panics
 /// If the test fails.
 pub fn programs_in_real_time_beside_others<T: Fn()>(test: T) {
     in_real_time_as(&name_of::<T>(), Turn::BesideOthers, Priority::Usual, test);
+}
+
+/// Runs a test with each of these cases, all at once: they mostly sleep.
+///
+/// # Panics
+/// If a case fails: with its panic, the first in their order.
+pub fn beside_each_other<Case: Send, const N: usize>(cases: [Case; N], test: impl Fn(Case) + Sync) {
+    let test = &test;
+    std::thread::scope(|scope| {
+        let running = cases.map(|case| scope.spawn(move || test(case)));
+        running.into_iter().for_each(|case| case.join().unwrap_or_else(|panic| resume_unwind(panic)));
+    });
 }
 
 /// As [`in_real_time`], for a test whose name does not follow from its type.

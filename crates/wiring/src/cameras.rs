@@ -288,6 +288,7 @@ impl Drop for WatchedCamera {
 #[cfg(test)]
 mod tests {
     use std::path::Path;
+    use std::sync::LazyLock;
     use std::sync::mpsc::channel;
 
     use pb3dp_camera_v4l2::controls::id;
@@ -358,14 +359,24 @@ mod tests {
     const DISPARITY_PX: usize = 74;
 
     /// Blocks of 5 pixels, from a column on.
-    fn scene(from: usize, memory: &mut [u8]) {
-        for (v, row) in memory.chunks_exact_mut(2 * 320).enumerate() {
-            for (u, pixel) in row.chunks_exact_mut(2).enumerate() {
-                let mixed = ((from + u) / 5).wrapping_mul(0x9E37_79B1).wrapping_add((v / 5).wrapping_mul(0x85EB_CA77));
-                let brightness = 60 + (mixed ^ (mixed >> 13)).wrapping_mul(0xC2B2_AE35) / 65_536 % 130;
-                pixel.copy_from_slice(&[brightness as u8, 128]);
-            }
-        }
+    fn scene(from: usize) -> Vec<u8> {
+        let pixel = |at: usize| {
+            let (u, v) = (from + at % 320, at / 320);
+            let mixed = (u / 5).wrapping_mul(0x9E37_79B1).wrapping_add((v / 5).wrapping_mul(0x85EB_CA77));
+            let brightness = 60 + (mixed ^ (mixed >> 13)).wrapping_mul(0xC2B2_AE35) / 65_536 % 130;
+            [brightness as u8, 128]
+        };
+        (0..320 * 240).flat_map(pixel).collect()
+    }
+
+    fn paint_left(_: u64, memory: &mut [u8]) {
+        static SCENE: LazyLock<Vec<u8>> = LazyLock::new(|| scene(0));
+        memory.copy_from_slice(&SCENE);
+    }
+
+    fn paint_right(_: u64, memory: &mut [u8]) {
+        static SCENE: LazyLock<Vec<u8>> = LazyLock::new(|| scene(DISPARITY_PX));
+        memory.copy_from_slice(&SCENE);
     }
 
     /// What came after both plugs were pulled, and plugged in again with these paintings: pairs in a second, and the last message.
@@ -377,7 +388,7 @@ mod tests {
             side.name = format!("bus:usb-emulated-{number}").parse().unwrap();
             side.mode.size = size;
         }
-        let straight: [fn(u64, &mut [u8]); 2] = [|_, memory| scene(0, memory), |_, memory| scene(DISPARITY_PX, memory)];
+        let straight: [fn(u64, &mut [u8]); 2] = [paint_left, paint_right];
         let emulated = (0..2).map(|number| {
             let mut camera = EmulatedCamera::usual(number as u32);
             camera.entry.serial = serials[number].map(str::to_owned);
@@ -400,7 +411,7 @@ mod tests {
             assert!(camera.next_pair_into(&mut pair, Duration::from_millis(60)).is_err());
             system.with(number, |camera| (camera.faults.is_unplugged, camera.paint) = (false, paint)).unwrap();
         }
-        let (end, mut came, mut said) = (clock.now() + Duration::from_secs(2), 0, String::new());
+        let (end, mut came, mut said) = (clock.now() + Duration::from_secs(1), 0, String::new());
         while clock.now() < end {
             match camera.next_pair_into(&mut pair, Duration::from_millis(66)) {
                 Ok(()) => came += 1,
@@ -414,8 +425,7 @@ mod tests {
     /// Without serial numbers the ports are the names, and only the images show which camera is in which port.
     #[test]
     fn exchanged_cables_are_noticed_by_the_images() {
-        let [left, right]: [fn(u64, &mut [u8]); 2] =
-            [|_, memory| scene(0, memory), |_, memory| scene(DISPARITY_PX, memory)];
+        let [left, right]: [fn(u64, &mut [u8]); 2] = [paint_left, paint_right];
         let grey: fn(u64, &mut [u8]) = |number, memory| memory.fill(100 + (number % 2) as u8);
         let numbered = [Some("A"), Some("B")];
         for (serials, paints, expected) in [
@@ -427,7 +437,7 @@ mod tests {
         ] {
             let (came, said) = after_reopening(serials, paints);
             match expected {
-                None => assert!(came > 20, "{came} came: {said}"),
+                None => assert!(came > 10, "{came} came: {said}"),
                 Some(text) => assert!(came == 0 && said.contains(text), "{came} came: {said}"),
             }
         }

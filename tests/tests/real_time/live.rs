@@ -18,7 +18,7 @@ use pb3dp_recording::run::{RecordTo, record_run};
 use pb3dp_servo::{Gains, LawConfig, PublishedConfig, TargetFilterConfig};
 use pb3dp_setup::setup::{ArmLink, Pace, Setup, read_setup};
 use pb3dp_sim::trajectory::Channel;
-use pb3dp_test_support::programs_in_real_time;
+use pb3dp_test_support::programs_in_real_time_beside_others;
 use pb3dp_wiring::{Wired, wire, wire_watched};
 use system_tests::repository;
 
@@ -56,7 +56,7 @@ fn a_hand_follows_through_serial_lines_as_in_simulated_time() {
     let simulated =
         followed(&run(&with_published_law(quick_setup(Method::Direct, Pixels::Few, &[Channel::X])), None).log);
     let setup = hil_setup();
-    programs_in_real_time(|| {
+    programs_in_real_time_beside_others(|| {
         let Wired { parts, monitors, .. } = wire_watched(&setup).unwrap();
         let log = experiment::run(&setup, parts, None, None).unwrap().log;
         for (name, monitor) in &monitors {
@@ -79,7 +79,7 @@ fn a_hand_follows_through_serial_lines_as_in_simulated_time() {
 #[test]
 fn an_alarm_of_one_arm_ends_the_run_with_both_at_rest() {
     let setup = hil_setup();
-    programs_in_real_time(|| {
+    programs_in_real_time_beside_others(|| {
         let parts = wire(&setup).unwrap();
         // Enabling both arms takes up to 3 s; then the target moves after a second.
         parts.emulated[1].command_line("in 5s alarm 4 0x0e").unwrap();

@@ -16,7 +16,7 @@ use pb3dp_hal_clock::SystemClock;
 use pb3dp_record::dataset::load_sequence;
 use pb3dp_servo::identification::Excitation;
 use pb3dp_setup::setup::{ArmLink, RealCameras, Setup, read_setup};
-use pb3dp_test_support::programs_in_real_time;
+use pb3dp_test_support::programs_in_real_time_beside_others;
 use pb3dp_wiring::wire_with;
 use system_tests::repository;
 
@@ -99,7 +99,7 @@ fn plug(system: &EmulatedSystem, number: usize, is_in: bool) {
 
 #[test]
 fn what_real_cameras_see_is_recorded_and_can_be_read() {
-    programs_in_real_time(records);
+    programs_in_real_time_beside_others(records);
 }
 
 fn records() {
@@ -137,7 +137,7 @@ fn records() {
 
 #[test]
 fn a_hand_is_swung_before_the_region_that_is_marked() {
-    programs_in_real_time(swings);
+    programs_in_real_time_beside_others(swings);
 }
 
 fn swings() {
@@ -155,7 +155,7 @@ fn swings() {
 
 #[test]
 fn a_hand_holds_its_place_rests_while_a_camera_is_away_and_goes_on() {
-    programs_in_real_time(holds_rests_and_goes_on);
+    programs_in_real_time_beside_others(holds_rests_and_goes_on);
 }
 
 fn holds_rests_and_goes_on() {
@@ -191,7 +191,7 @@ fn holds_rests_and_goes_on() {
 
 #[test]
 fn a_hand_does_not_go_on_with_exchanged_cameras() {
-    programs_in_real_time(rests_with_exchanged_cameras);
+    programs_in_real_time_beside_others(rests_with_exchanged_cameras);
 }
 
 /// Both cables are pulled and plugged in exchanged: cameras with serial numbers differ from the calibrated ones, and without numbers
@@ -223,7 +223,7 @@ fn rests_with_exchanged_cameras() {
 
 #[test]
 fn a_camera_that_is_not_waited_for_ends_the_run_with_both_arms_stopped() {
-    programs_in_real_time(ends_with_its_camera);
+    programs_in_real_time_beside_others(ends_with_its_camera);
 }
 
 fn ends_with_its_camera() {

@@ -22,7 +22,7 @@ use pb3dp_hal_api::Clock;
 use pb3dp_hal_clock::{SystemClock, VirtualClock};
 use pb3dp_servo::supervisor::{Condition, Confidence, EstimateInput, FrameInput, State};
 use pb3dp_setup::setup::{Leader, Pace, Setup, read_setup};
-use pb3dp_test_support::programs_in_real_time;
+use pb3dp_test_support::programs_in_real_time_beside_others;
 use pb3dp_wiring::wire;
 use system_tests::repository;
 
@@ -438,7 +438,7 @@ impl Parted for SlowOnce<'_> {
 #[test]
 fn an_arm_rests_while_its_method_takes_too_long() {
     // May fail by chance: a machine that stalls its threads repeatedly makes the hand hold repeatedly.
-    programs_in_real_time(|| {
+    programs_in_real_time_beside_others(|| {
         let mut setup = read_setup(&repository().join("configs/sim.toml")).unwrap();
         setup.pace = Pace::Live;
         setup.compared.clear();

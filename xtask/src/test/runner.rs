@@ -26,10 +26,17 @@ const ALONE: &str = "alone";
 const LONGEST: Duration = Duration::from_secs(1200);
 /// Environment variable for the long sweeps.
 const LONG_TESTS: &str = "PB3DP_LONG_TESTS";
-/// Packages whose real-time tests start whole programs, which compute: they get no SCHED_FIFO priority.
-const COMPUTING: [&str; 2] = ["pb3dp-orchestrator", "system-tests"];
-/// Number of real-time tests that run in parallel: their programs mostly sleep.
-const PUNCTUAL_THREADS: [&str; 2] = ["4", "6"];
+/// Packages whose real-time tests run whole programs or loops, which compute: they get no SCHED_FIFO priority.
+const COMPUTING: [&str; 3] = ["pb3dp-orchestrator", "pb3dp-panel", "system-tests"];
+
+/// Number of real-time tests of a package that run in parallel: they mostly sleep, whole loops with images less.
+fn punctual_threads(package: &str) -> &'static str {
+    match package {
+        "system-tests" => "2",
+        "pb3dp-panel" => "4",
+        _ => "6",
+    }
+}
 
 /// Selection of the tests of a program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,8 +73,8 @@ struct State {
     others: Vec<Job>,
     punctual: Vec<Job>,
     is_building: bool,
-    /// Number of parallel jobs of the other tests.
-    running: usize,
+    /// Number of running jobs of real-time tests, and of the other tests.
+    running: [usize; 2],
 }
 
 /// Runs test programs as they are built: the real-time tests under their lock, the others on all processors that the build
@@ -124,11 +131,14 @@ impl Runner {
         let report = Mutex::new(report);
         let _low = LowSession::enter();
         let built = std::thread::scope(|scope| {
-            scope.spawn(|| {
-                while let Some(job) = self.next_punctual() {
-                    self.work(&job, &report)
-                }
-            });
+            for computing in [true, false] {
+                let report = &report;
+                scope.spawn(move || {
+                    while let Some(job) = self.next_punctual(computing) {
+                        self.work(&job, report)
+                    }
+                });
+            }
             for place in 0..processors {
                 let report = &report;
                 scope.spawn(move || {
@@ -178,7 +188,7 @@ impl Runner {
         loop {
             let may_run = place == 0 || !state.is_building;
             if may_run && let Some(index) = self.longest(&state.others, |_| true) {
-                state.running += 1;
+                state.running[1] += 1;
                 return Some(state.others.remove(index));
             }
             if !state.is_building && state.others.is_empty() {
@@ -188,19 +198,24 @@ impl Runner {
         }
     }
 
-    /// The next job of real-time tests, which run one program at a time. Without a priority they wait for the end of the others.
-    fn next_punctual(&self) -> Option<Job> {
+    /// The next job of real-time tests: one program that computes and one that mostly sleeps at a time, and at the end what must run
+    /// without other real-time tests. Without a priority each waits for the end of all others.
+    fn next_punctual(&self, computing: bool) -> Option<Job> {
         let mut state = of(&self.state);
         loop {
-            let is_quiet = !state.is_building && state.others.is_empty() && state.running == 0;
-            let may_run = |job: &Job| match job.computes() {
-                true => is_quiet || self.precedence > Precedence::Priority,
-                false => is_quiet || self.precedence > Precedence::None,
+            let [punctual, others] = state.running;
+            let is_quiet = !state.is_building && state.others.is_empty() && others + punctual == 0;
+            let is_last = !state.is_building && state.punctual.len() == 1 && punctual == 0;
+            let may_run = |job: &Job| {
+                let least = if job.computes() { Precedence::Priority } else { Precedence::None };
+                let is_in_turn = job.program.target != ALONE || is_last;
+                job.computes() == computing && is_in_turn && (is_quiet || self.precedence > least)
             };
             if let Some(index) = self.longest(&state.punctual, may_run) {
+                state.running[0] += 1;
                 return Some(state.punctual.remove(index));
             }
-            if !state.is_building && state.punctual.is_empty() {
+            if !state.is_building && state.punctual.iter().all(|job| job.computes() != computing) {
                 return None;
             }
             state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
@@ -217,7 +232,7 @@ impl Runner {
     fn work(&self, job: &Job, report: &Mutex<&mut Report>) {
         let run = self.run_program(job);
         let mut state = of(&self.state);
-        state.running -= usize::from(!job.is_punctual());
+        state.running[usize::from(!job.is_punctual())] -= 1;
         drop(state);
         self.changed.notify_all();
         // A program without tests gets no line.
@@ -258,7 +273,7 @@ impl Runner {
         match job.part {
             Part::All => {}
             Part::Punctual => {
-                command.args([REAL_TIME, "--test-threads", PUNCTUAL_THREADS[usize::from(job.computes())]]);
+                command.args([REAL_TIME, "--test-threads", punctual_threads(package)]);
             }
             Part::Others => {
                 command.args(["--skip", REAL_TIME]);

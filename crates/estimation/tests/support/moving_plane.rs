@@ -1,6 +1,8 @@
 //! A painted disc that moves in six degrees of freedom in front of a painted wall: ray-cast images, one sample per pixel.
 #![allow(dead_code, clippy::expect_used, reason = "shared by tests that use different parts")]
 
+use std::sync::{Arc, Mutex};
+
 use image::RgbImage;
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 use pb3dp_estimation_core::estimate::PlanePose;
@@ -114,26 +116,49 @@ fn image(
     gain: f64,
     side: u32,
 ) -> RgbImage {
-    let left_from_cam = cam_from_left.inverse();
-    let origin = left_from_cam * Point3::origin();
+    let origin = cam_from_left.inverse() * Point3::origin();
     let discs_from_left: Vec<Isometry3<f64>> = discs.iter().map(|pose| *pose.inverse().isometry()).collect();
+    let background = background(camera, cam_from_left, discs.is_empty());
     RgbImage::from_fn(camera.size().width, camera.size().height, |x, y| {
-        let ray = camera.unproject(&Vector2::new(f64::from(x), f64::from(y))).expect("ray");
-        let ray = left_from_cam * ray;
+        let (ray, behind) = background[(y * camera.size().width + x) as usize];
         let disc = discs_from_left.iter().find_map(|to_target| {
             let (from, along) = (to_target * origin, to_target * ray);
             let at = from - along * (from.z / along.z);
             (at.x.hypot(at.y) < own.radius_m).then(|| paint(at.x * own.fineness, at.y * own.fineness, 0.0))
         });
-        let colour = disc.unwrap_or_else(|| {
-            let wall = origin + ray * ((WALL_Z_M - origin.z) / ray.z);
-            // A board in front of everything hides the target.
-            let (scale, seed) = if !discs.is_empty() { (0.5, 5.0) } else { (0.21, 9.0) };
-            paint(wall.x * scale, wall.y * scale, seed)
-        });
+        let colour = disc.unwrap_or(behind);
         let noise = |c: u32| noise(x, y, shot.frame * 6 + side * 3 + c);
         image::Rgb(std::array::from_fn(|c| (colour[c] * gain + 1.5 * noise(c as u32)).round().clamp(0.0, 255.0) as u8))
     })
+}
+
+/// Of each pixel its ray, in `cam_left`, and the colour of the wall there.
+type Background = Arc<Vec<(Vector3<f64>, [f64; 3])>>;
+
+/// A camera, its place, and whether a board hides the discs.
+type Eye = (Camera, Isometry3<f64>, bool);
+
+/// The wall stands still before the left camera: each camera sees it once. A board in front of everything hides the discs.
+fn background(camera: &Camera, cam_from_left: &Isometry3<f64>, is_hidden: bool) -> Background {
+    static SEEN: Mutex<Vec<(Eye, Background)>> = Mutex::new(Vec::new());
+    let key = (*camera, *cam_from_left, is_hidden);
+    let mut seen = SEEN.lock().expect("no test panics here");
+    if let Some((_, background)) = seen.iter().find(|(other, _)| *other == key) {
+        return Arc::clone(background);
+    }
+    let left_from_cam = cam_from_left.inverse();
+    let origin = left_from_cam * Point3::origin();
+    let (scale, seed) = if is_hidden { (0.21, 9.0) } else { (0.5, 5.0) };
+    let size = camera.size();
+    let pixels = (0..size.height).flat_map(|y| (0..size.width).map(move |x| Vector2::new(f64::from(x), f64::from(y))));
+    let background = pixels.map(|pixel| {
+        let ray = left_from_cam * camera.unproject(&pixel).expect("ray");
+        let wall = origin + ray * ((WALL_Z_M - origin.z) / ray.z);
+        (ray, paint(wall.x * scale, wall.y * scale, seed))
+    });
+    let background = Arc::new(background.collect());
+    seen.push((key, Arc::clone(&background)));
+    background
 }
 
 /// Approximately normal, unit variance.

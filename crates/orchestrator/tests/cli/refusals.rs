@@ -1,11 +1,15 @@
 //! What the program refuses, and how it says so.
 
 use std::ffi::{OsStr, OsString};
+use std::io::{PipeWriter, Read, Write};
 use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::Duration;
 
 use nalgebra::Vector3;
 use pb3dp_geometry::{Pose, so3};
 use pb3dp_record::stops::{ArmOfPoses, WantedPoses, save_poses};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use crate::cli::support::*;
 use crate::real_time::arm::{FIRST_RUN, pb3dp_arm, setup_at};
@@ -255,6 +259,28 @@ fn a_folder_without_cases_is_named() {
     let refused = pb3dp(&words(&[&"track", &"--sequence", &empty]));
     refused.assert_refused(&["sequence.json", "empty", "[PB3DP-CAM-005]"]);
     assert!(!refused.stderr.contains("code="), "{}", refused.stderr);
+}
+
+/// A terminal that stands still, or a machine too busy to write the log: the program waited half a second, and said nothing.
+#[test]
+fn a_refusal_is_written_although_it_is_read_late() {
+    let dir = tempfile::tempdir().unwrap();
+    let (mut read, mut full) = std::io::pipe().unwrap();
+    let has_room = |pipe: &PipeWriter| poll(&mut [PollFd::new(pipe, PollFlags::OUT)], Some(&Timespec::default()));
+    while has_room(&full).unwrap() > 0 {
+        full.write_all(&[b' '; 4096]).unwrap();
+    }
+    let mut child = Command::new(env!("CARGO_BIN_EXE_pb3dp"))
+        .args(words(&[&"estimate", &"--cases", &dir.path()]))
+        .stdout(Stdio::null())
+        .stderr(full)
+        .spawn()
+        .unwrap();
+    std::thread::sleep(Duration::from_millis(1500));
+    let mut text = String::new();
+    read.read_to_string(&mut text).unwrap();
+    assert!(!child.wait().unwrap().success());
+    assert!(text.contains("case.json"), "{:?}", text.trim_start());
 }
 
 #[test]

@@ -20,7 +20,7 @@ fn setup_from(file: &str, dir: &Path, changes: &[(&str, &str)]) -> PathBuf {
     file
 }
 
-pub const SMALL: [(&str, &str); 3] = [
+const SMALL: [(&str, &str); 3] = [
     ("width_px = 640", "width_px = 320"),
     ("height_px = 480", "height_px = 240"),
     ("focal_px = 740.0", "focal_px = 370.0"),

@@ -8,9 +8,8 @@ use rustix::process::{Pid, Signal, kill_process};
 use tempfile::TempDir;
 
 use crate::cli::mock_arm::MockArm;
-use crate::cli::run::SMALL;
-use crate::cli::support::{pb3dp, replaced};
-use crate::real_time::arm::{Cell, FIRST_RUN, START_DEG, assert_problem, command, json, write_setup};
+use crate::cli::support::pb3dp;
+use crate::real_time::arm::{Cell, FIRST_RUN, START_DEG, WITHOUT_IMAGES, assert_problem, command, json, write_setup};
 use pb3dp_test_support::programs_in_real_time_beside_others;
 
 const GATEWAY: &str = "[arms.vs.gateway]";
@@ -131,12 +130,16 @@ fn run_on_bus(arm: &mut MockArm) -> (Child, TempDir) {
         format!("{vs}[arms.tc]{tc}{bus}{}", &gateway[gateway.find("\n[").unwrap() + 1..])
     });
     let (config, out) = (folder.path().join("cell.toml"), folder.path().join("out"));
-    // Rendering large images delays the arms on a small machine.
-    let text = std::fs::read_to_string(&config).unwrap();
-    let text = SMALL.iter().fold(text, |text, (from, to)| replaced(&text, from, to));
-    std::fs::write(&config, text).unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_pb3dp"));
-    command.arg("run").arg("--config").arg(config).arg("--out").arg(out).args(FIRST_RUN).arg("--move");
+    command
+        .arg("run")
+        .arg("--config")
+        .arg(config)
+        .arg("--out")
+        .arg(out)
+        .args(FIRST_RUN)
+        .args(WITHOUT_IMAGES)
+        .arg("--move");
     let mut run = command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     writeln!(run.stdin.as_mut().unwrap(), "tc-robot").unwrap();
     if let Err(said) = wait_for_motion(arm, &mut run, 2.0) {

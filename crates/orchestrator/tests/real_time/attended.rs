@@ -9,10 +9,10 @@ use pb3dp_geometry::{Pose, so3};
 use pb3dp_hal_platform::pty::Pty;
 use pb3dp_hal_platform::transport::ByteLink as _;
 use pb3dp_record::stops::{ArmOfPoses, WantedPoses, save_poses};
-use pb3dp_test_support::{program_lines, programs_in_real_time_beside_others};
+use pb3dp_test_support::{beside_each_other, program_lines, programs_in_real_time_beside_others};
 use rustix::termios::{LocalModes, OptionalActions, tcgetattr, tcsetattr};
 
-use crate::real_time::arm::{Cell, START_DEG};
+use crate::real_time::arm::{Cell, START_DEG, WITHOUT_IMAGES};
 
 /// A jog of 17 s.
 const JOG: [&str; 7] = ["arm", "jog", "--arm", "vs", "--axis", "4", "--by=-20"];
@@ -123,7 +123,7 @@ impl Drop for Moving {
 #[test]
 fn what_means_stop_ends_a_jog_and_another_line_does_not() {
     programs_in_real_time_beside_others(|| {
-        for text in ["STOP!\n", "hold it\n", "\x1b", "q\n", "\x04", "closed"] {
+        beside_each_other(["STOP!\n", "hold it\n", "\x1b", "q\n", "\x04", "closed"], |text| {
             let mut cell = Cell::start(&["--pose-deg", START_DEG]);
             let mut jog = Moving::start(&cell, &JOG, &[]);
             jog.wait_until_it_moves(&mut cell, 0.2);
@@ -142,7 +142,7 @@ fn what_means_stop_ends_a_jog_and_another_line_does_not() {
             assert!(is_stopped && code == Some(1), "{text:?} {code:?}: {seen}");
             assert!(cell.joints().1, "{text:?}: all brakes are closed");
             cell.arm.quit();
-        }
+        });
     });
 }
 
@@ -178,41 +178,36 @@ fn an_arm_beside_which_nobody_presses_enter_stops() {
 /// A tour of minutes, and the motion in front of a target.
 #[test]
 fn what_means_stop_and_silence_end_a_tour_and_a_measured_motion() {
+    let turned = so3::exp(&[0.0, std::f64::consts::FRAC_PI_2, 0.0].into());
+    let pose = |y_m| Pose::from_parts([0.66, y_m, 0.25].into(), turned);
+    let folder = tempfile::tempdir().unwrap();
+    let poses = folder.path().join("poses.toml");
+    let wanted = WantedPoses { arm: ArmOfPoses::Vs, poses: vec![pose(0.12), pose(-0.12), pose(0.12)] };
+    save_poses(&poses, &wanted).unwrap();
+    let visit = ["arm", "visit", "--emulated-board", "9x6:20", "--poses", poses.to_str().unwrap()];
+    let identify = [&["identify", "delay"], &WITHOUT_IMAGES[..], &WITHOUT_RECORD].concat();
     programs_in_real_time_beside_others(|| {
-        let mut cell = Cell::start(&["--pose-deg", START_DEG]);
-        let turned = so3::exp(&[0.0, std::f64::consts::FRAC_PI_2, 0.0].into());
-        let pose = |y_m| Pose::from_parts([0.66, y_m, 0.25].into(), turned);
-        let poses = cell.folder.path().join("poses.toml");
-        let wanted = WantedPoses { arm: ArmOfPoses::Vs, poses: vec![pose(0.12), pose(-0.12), pose(0.12)] };
-        save_poses(&poses, &wanted).unwrap();
-        let poses = poses.display().to_string();
-        let visit = ["arm", "visit", "--emulated-board", "9x6:20", "--poses", &poses];
-        // Without images: a loaded machine is late with them.
-        let identify = [&["identify", "delay", "--set", "estimator.method=geometric"], &WITHOUT_RECORD[..]].concat();
-        for args in [&visit[..], &identify] {
-            let mut moving = Moving::start(&cell, args, &[]);
-            moving.wait_until_it_moves(&mut cell, 0.2);
-            moving.say("please stop\n");
-            let (seen, code, _) = moving.end(Duration::from_secs(20));
-            assert!(seen.contains("ended by \"please stop\", which was typed: stopping both arms"), "{args:?}: {seen}");
-            assert!(code == Some(130) && cell.joints().1, "{args:?} {code:?}: {seen}");
-            home(&mut cell);
-        }
-        for args in [&visit[..], &identify] {
-            let moving = Moving::start(&cell, args, &["--set", "supervisor.operator_key_within_s=5"]);
-            let (seen, code, _) = moving.end(Duration::from_secs(40));
-            assert!(
-                seen.contains("are you there?") && seen.contains("operator_silent: the newest"),
-                "{args:?}: {seen}"
-            );
-            assert!(code == Some(130) && cell.joints().1, "{args:?} {code:?}: {seen}");
-            home(&mut cell);
-        }
-        cell.arm.quit();
+        beside_each_other(
+            [(&visit[..], true), (&identify, true), (&visit, false), (&identify, false)],
+            |(args, speaks)| {
+                let mut cell = Cell::start(&["--pose-deg", START_DEG]);
+                let settings = ["--set", "supervisor.operator_key_within_s=5"];
+                let mut moving = Moving::start(&cell, args, if speaks { &[] } else { &settings });
+                let (seen, code, _) = if speaks {
+                    moving.wait_until_it_moves(&mut cell, 0.2);
+                    moving.say("please stop\n");
+                    moving.end(Duration::from_secs(20))
+                } else {
+                    moving.end(Duration::from_secs(40))
+                };
+                let parts = match speaks {
+                    true => ["ended by \"please stop\", which was typed: stopping both arms"; 2],
+                    false => ["are you there?", "operator_silent: the newest"],
+                };
+                assert!(parts.iter().all(|part| seen.contains(part)), "{args:?}: {seen}");
+                assert!(code == Some(130) && cell.joints().1, "{args:?} {code:?}: {seen}");
+                cell.arm.quit();
+            },
+        );
     });
-}
-
-fn home(cell: &mut Cell) {
-    cell.pb3dp(&["home", "--move"], Some("vs-robot")).assert_success();
-    std::fs::remove_dir_all(cell.folder.path().join("out")).unwrap();
 }

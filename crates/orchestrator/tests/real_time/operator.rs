@@ -9,7 +9,7 @@ use pb3dp_hal_platform::pty::Pty;
 use pb3dp_hal_platform::transport::ByteLink as _;
 use pb3dp_test_support::{program_lines, programs_in_real_time_beside_others};
 
-use crate::real_time::arm::{Cell, FIRST_RUN, START_DEG, hil};
+use crate::real_time::arm::{Cell, FIRST_RUN, START_DEG, WITHOUT_IMAGES, hil};
 
 /// A run whose standard input is a terminal.
 struct Led {
@@ -25,7 +25,7 @@ impl Led {
         let terminal = Pty::open().unwrap();
         let mut command = Command::new(env!("CARGO_BIN_EXE_pb3dp"));
         command.arg("run").arg("--config").arg(cell.config()).arg("--out").arg(cell.folder.path().join("out"));
-        command.args(["--operator", "console"]).args(FIRST_RUN).args(settings);
+        command.args(["--operator", "console"]).args(FIRST_RUN).args(WITHOUT_IMAGES).args(settings);
         command.stdin(File::open(terminal.path()).unwrap()).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut program = command.spawn().unwrap();
         let (answers, log) =

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use pb3dp_test_support::programs_in_real_time_beside_others;
+use pb3dp_test_support::{beside_each_other, programs_in_real_time_beside_others};
 use tempfile::TempDir;
 
 use crate::cli::mock_arm::MockArm;
@@ -42,11 +42,6 @@ fn table(lines: &str) -> String {
     format!("[arms.vs.gateway.signals]\n{lines}")
 }
 
-fn assert_stopped((code, stderr): (Option<i32>, String), part: &str) {
-    assert_eq!(code, Some(1), "{stderr}");
-    assert!(stderr.contains(part), "{part:?} is missing in:\n{stderr}");
-}
-
 #[test]
 fn an_arm_whose_status_words_are_unknown_does_not_move() {
     // Nobody listens at this port: the refusal comes first.
@@ -81,32 +76,41 @@ fn an_arm_whose_status_words_are_unknown_does_not_move() {
     std::fs::remove_dir_all(b).unwrap();
 }
 
-/// Learnt from an emulated arm, entered in the setup, and the arm stops for each of them with its cause.
 #[test]
-fn bits_are_found_and_stop_the_arm_with_the_exact_cause() {
+fn bits_are_found_on_an_emulated_arm() {
     programs_in_real_time_beside_others(|| {
         let folder = setup("A", None, "");
         let learnt = pb3dp_arm(&config(&folder), &["signals", "--operator", "emulated"], None).assert_success().stdout;
         assert!(learnt.contains(&format!("[arms.vs.gateway.signals]\n{LINES}\n")), "{learnt}");
         assert!(learnt.contains(&format!("[arm.signals]\n{LINES}\n")), "{learnt}");
         assert!(learnt.contains("emergency stop: changed: controller 0x0008 set"), "{learnt}");
-        for (line, cause) in [
-            ("e-stop press", "controller: status word 0x"),
-            ("limit-switch open", "shows the limit switch by the bits of the configuration"),
-            ("dead-man release", "shows the dead-man switch by the bits of the configuration"),
-            ("servo-power off", "uncontrollable"),
-        ] {
+    });
+}
+
+/// With the bits that were found in its setup, an arm that moves stops for each signal, and says why.
+#[test]
+fn each_signal_stops_the_arm_with_the_exact_cause() {
+    let signals = [
+        ("e-stop press", "controller: status word 0x"),
+        ("limit-switch open", "shows the limit switch by the bits of the configuration"),
+        ("dead-man release", "shows the dead-man switch by the bits of the configuration"),
+        ("servo-power off", "uncontrollable"),
+    ];
+    programs_in_real_time_beside_others(|| {
+        beside_each_other(signals, |(line, cause)| {
             let mut cell = cell(&[], &table(LINES));
-            assert_stopped(while_it_moves(&mut cell, |cell, _| cell.arm.say(line)), cause);
+            let (code, stderr) = while_it_moves(&mut cell, |cell, _| cell.arm.say(line));
+            assert!(code == Some(1) && stderr.contains(cause), "{cause:?} is missing in:\n{stderr}");
+            if line == "e-stop press" {
+                let part = "shows the emergency stop by the bits of the configuration";
+                assert!(stderr.contains(part), "{stderr}");
+                cell.pb3dp(&["reset"], Some("vs-robot"))
+                    .assert_refused(&["it is not reset", "shows the emergency stop"]);
+                cell.arm.say("e-stop release");
+                cell.pb3dp(&["reset"], Some("vs-robot")).assert_success();
+            }
             cell.arm.quit();
-        }
-        let mut cell = cell(&[], &table(LINES));
-        let stopped = while_it_moves(&mut cell, |cell, _| cell.arm.say("e-stop press"));
-        assert_stopped(stopped, "shows the emergency stop by the bits of the configuration");
-        cell.pb3dp(&["reset"], Some("vs-robot")).assert_refused(&["it is not reset", "shows the emergency stop"]);
-        cell.arm.say("e-stop release");
-        cell.pb3dp(&["reset"], Some("vs-robot")).assert_success();
-        cell.arm.quit();
+        });
     });
 }
 

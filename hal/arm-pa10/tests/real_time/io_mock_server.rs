@@ -29,7 +29,7 @@ use pb3dp_hal_platform::realtime::Realtime;
 use pb3dp_hal_platform::transport::{ByteLink, ConnectError, Connector};
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig};
-use pb3dp_test_support::in_real_time_beside_others;
+use pb3dp_test_support::{beside_each_other, in_real_time_beside_others};
 
 const CYCLE: Duration = Duration::from_millis(10);
 const FORMAT: WireFormat = WireFormat::BigEndian6x10;
@@ -224,9 +224,7 @@ const TYPED: [&[Typed]; 4] = [
 /// Typed while the arm moves: the arm stops, stays stopped, and can be reset after the cause is removed. Four arms at a time.
 #[test]
 fn faults_are_typed_while_the_arm_moves() {
-    in_real_time_beside_others(|| {
-        std::thread::scope(|scope| TYPED.map(|typed| scope.spawn(|| suffer(typed))).map(|arm| arm.join().unwrap()));
-    });
+    in_real_time_beside_others(|| beside_each_other(TYPED, suffer));
 }
 
 fn suffer(typed: &[Typed]) {
