@@ -214,6 +214,7 @@ mod tests {
     use std::sync::atomic::{AtomicBool, AtomicU64};
 
     use pb3dp_hal_platform::pty::Pty;
+    use pb3dp_test_support::sweep;
     use rustix::event::{EventfdFlags, eventfd};
 
     use super::*;
@@ -242,13 +243,13 @@ mod tests {
                             return;
                         }
                     }
-                    Err(std::sync::mpsc::TryRecvError::Empty) => std::hint::spin_loop(),
+                    Err(std::sync::mpsc::TryRecvError::Empty) => std::thread::yield_now(),
                     Err(std::sync::mpsc::TryRecvError::Disconnected) => return,
                 }
             }
         });
         let mut link: Box<dyn ByteLink> = Box::new(Pty::open().unwrap());
-        for round in 0..20_000 {
+        for round in 0..sweep(2_000, 20_000) {
             hand_over(link, &shared, &door);
             link = back.recv().unwrap();
             assert!(!shared.has_host.load(Ordering::SeqCst), "round {round}");
