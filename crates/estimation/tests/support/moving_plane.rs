@@ -136,11 +136,11 @@ fn image(
 type Background = Arc<Vec<(Vector3<f64>, [f64; 3])>>;
 
 /// A camera, its place, and whether a board hides the discs.
-type Eye = (Camera, Isometry3<f64>, bool);
+type View = (Camera, Isometry3<f64>, bool);
 
 /// The wall stands still before the left camera: each camera sees it once. A board in front of everything hides the discs.
 fn background(camera: &Camera, cam_from_left: &Isometry3<f64>, is_hidden: bool) -> Background {
-    static SEEN: Mutex<Vec<(Eye, Background)>> = Mutex::new(Vec::new());
+    static SEEN: Mutex<Vec<(View, Background)>> = Mutex::new(Vec::new());
     let key = (*camera, *cam_from_left, is_hidden);
     let mut seen = SEEN.lock().expect("no test panics here");
     if let Some((_, background)) = seen.iter().find(|(other, _)| *other == key) {
