@@ -141,23 +141,25 @@ mod tests {
             }
         }
 
-        /// Nothing starts in two seconds in which the target is ready; then a typed `start` does.
-        fn needs_a_typed_start(&mut self, from_s: f64) {
-            for step in 0..20 {
-                // On a busy machine the command of the last line comes now: a line is heard before its command.
-                let said = self.said(Some(ready()), from_s + f64::from(step) * 0.1);
-                assert_ne!(said, Some(OperatorCommand::Start), "step {step}");
-            }
-            assert!(!self.operator.carries_before_start());
-            let mut said = self.types("start", ready(), from_s + 2.0);
-            // The line was heard before its command.
-            for _ in 0..1000 {
+        /// As [`Self::types`], for a line with a command, which may be heard after its line.
+        fn commands(&mut self, line: &str, last: Decision, at_s: f64) -> Option<OperatorCommand> {
+            let mut said = self.types(line, last, at_s);
+            for _ in 0..30_000 {
                 said = said.or_else(|| {
                     std::thread::sleep(Duration::from_millis(1));
-                    self.said(Some(ready()), from_s + 2.0)
+                    self.said(Some(last), at_s)
                 });
             }
-            assert_eq!(said, Some(OperatorCommand::Start));
+            said
+        }
+
+        /// Nothing is said for two seconds in which the target is ready; then a typed `start` is.
+        fn needs_a_typed_start(&mut self, from_s: f64) {
+            for step in 0..20 {
+                assert_eq!(self.said(Some(ready()), from_s + f64::from(step) * 0.1), None, "step {step}");
+            }
+            assert!(!self.operator.carries_before_start());
+            assert_eq!(self.commands("start", ready(), from_s + 2.0), Some(OperatorCommand::Start));
         }
     }
 
@@ -186,9 +188,17 @@ mod tests {
 
     #[test]
     fn the_program_does_not_start_after_a_hold_or_any_other_command() {
-        for line in ["hold", "stop", "hold hand", "select", "resume", "status", "hodl"] {
+        use OperatorCommand::{Hold, HoldHand, Resume, Select, Stop};
+        for (line, command) in
+            [("hold", Hold), ("stop", Stop), ("hold hand", HoldHand), ("select", Select), ("resume", Resume)]
+        {
             let mut run = Run::new();
-            run.types(line, selecting(), 1.1);
+            assert_eq!(run.commands(line, selecting(), 1.1), Some(command));
+            run.needs_a_typed_start(1.5);
+        }
+        for line in ["status", "hodl"] {
+            let mut run = Run::new();
+            assert_eq!(run.types(line, selecting(), 1.1), None);
             run.needs_a_typed_start(1.5);
         }
     }

@@ -27,8 +27,11 @@ use crate::progress;
 /// Capacity of the queue of lines; further lines are dropped and counted.
 const WAITING_MAX: usize = 16_384;
 
-/// Longest wait at the end of the program for lines that are not written yet: on a busy machine their thread runs late.
-const LAST_WORDS_MAX: Duration = Duration::from_secs(3);
+/// Longest wait for lines that are not written yet before the program ends at once: an arm may still move.
+const LAST_WORDS_MAX: Duration = Duration::from_millis(500);
+
+/// The same at the usual end of the program: on a busy machine their thread runs late.
+const END_MAX: Duration = Duration::from_secs(3);
 
 /// Polling interval of that wait.
 const LOOK: Duration = Duration::from_millis(1);
@@ -160,18 +163,22 @@ fn is_mistaken_level(part: &str) -> bool {
     !part.is_empty() && !is_directive && part.parse::<tracing_subscriber::filter::LevelFilter>().is_err()
 }
 
-/// Waits briefly, at the end of the program, for lines that are not written yet.
+/// Waits briefly for lines that are not written yet, before the program ends at once.
 pub fn last_words() {
+    wait_for_lines(LAST_WORDS_MAX);
+}
+
+fn wait_for_lines(longest: Duration) {
     let Some(counts) = COUNTS.get() else { return };
     let begin = Instant::now();
-    while counts.waiting.load(Ordering::SeqCst) > 0 && begin.elapsed() < LAST_WORDS_MAX {
+    while counts.waiting.load(Ordering::SeqCst) > 0 && begin.elapsed() < longest {
         std::thread::sleep(LOOK);
     }
 }
 
 impl Drop for Log {
     fn drop(&mut self) {
-        last_words();
+        wait_for_lines(END_MAX);
     }
 }
 

@@ -73,8 +73,8 @@ struct State {
     others: Vec<Job>,
     punctual: Vec<Job>,
     is_building: bool,
-    /// Number of running jobs of real-time tests, and of the other tests.
-    running: [usize; 2],
+    running_punctual: usize,
+    running_others: usize,
 }
 
 /// Runs test programs as they are built: the real-time tests under their lock, the others on all processors that the build
@@ -188,7 +188,7 @@ impl Runner {
         loop {
             let may_run = place == 0 || !state.is_building;
             if may_run && let Some(index) = self.longest(&state.others, |_| true) {
-                state.running[1] += 1;
+                state.running_others += 1;
                 return Some(state.others.remove(index));
             }
             if !state.is_building && state.others.is_empty() {
@@ -203,16 +203,16 @@ impl Runner {
     fn next_punctual(&self, computing: bool) -> Option<Job> {
         let mut state = of(&self.state);
         loop {
-            let [punctual, others] = state.running;
-            let is_quiet = !state.is_building && state.others.is_empty() && others + punctual == 0;
-            let is_last = !state.is_building && state.punctual.len() == 1 && punctual == 0;
+            let is_free = !state.is_building && state.running_punctual == 0;
+            let is_quiet = is_free && state.others.is_empty() && state.running_others == 0;
+            let is_end = is_free && state.punctual.iter().all(|job| job.program.target == ALONE);
             let may_run = |job: &Job| {
                 let least = if job.computes() { Precedence::Priority } else { Precedence::None };
-                let is_in_turn = job.program.target != ALONE || is_last;
+                let is_in_turn = job.program.target != ALONE || is_end;
                 job.computes() == computing && is_in_turn && (is_quiet || self.precedence > least)
             };
             if let Some(index) = self.longest(&state.punctual, may_run) {
-                state.running[0] += 1;
+                state.running_punctual += 1;
                 return Some(state.punctual.remove(index));
             }
             if !state.is_building && state.punctual.iter().all(|job| job.computes() != computing) {
@@ -232,7 +232,10 @@ impl Runner {
     fn work(&self, job: &Job, report: &Mutex<&mut Report>) {
         let run = self.run_program(job);
         let mut state = of(&self.state);
-        state.running[usize::from(!job.is_punctual())] -= 1;
+        match job.is_punctual() {
+            true => state.running_punctual -= 1,
+            false => state.running_others -= 1,
+        }
         drop(state);
         self.changed.notify_all();
         // A program without tests gets no line.

@@ -1,7 +1,7 @@
 //! A painted disc that moves in six degrees of freedom in front of a painted wall: ray-cast images, one sample per pixel.
 #![allow(dead_code, clippy::expect_used, reason = "shared by tests that use different parts")]
 
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use image::RgbImage;
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
@@ -142,7 +142,7 @@ type View = (Camera, Isometry3<f64>, bool);
 fn background(camera: &Camera, cam_from_left: &Isometry3<f64>, is_hidden: bool) -> Background {
     static SEEN: Mutex<Vec<(View, Background)>> = Mutex::new(Vec::new());
     let key = (*camera, *cam_from_left, is_hidden);
-    let mut seen = SEEN.lock().expect("no test panics here");
+    let mut seen = SEEN.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some((_, background)) = seen.iter().find(|(other, _)| *other == key) {
         return Arc::clone(background);
     }

@@ -131,15 +131,8 @@ fn run_on_bus(arm: &mut MockArm) -> (Child, TempDir) {
     });
     let (config, out) = (folder.path().join("cell.toml"), folder.path().join("out"));
     let mut command = Command::new(env!("CARGO_BIN_EXE_pb3dp"));
-    command
-        .arg("run")
-        .arg("--config")
-        .arg(config)
-        .arg("--out")
-        .arg(out)
-        .args(FIRST_RUN)
-        .args(WITHOUT_IMAGES)
-        .arg("--move");
+    command.arg("run").arg("--config").arg(config).arg("--out").arg(out).args(FIRST_RUN).arg("--move");
+    command.args(WITHOUT_IMAGES);
     let mut run = command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     writeln!(run.stdin.as_mut().unwrap(), "tc-robot").unwrap();
     if let Err(said) = wait_for_motion(arm, &mut run, 2.0) {

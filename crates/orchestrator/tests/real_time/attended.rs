@@ -187,27 +187,26 @@ fn what_means_stop_and_silence_end_a_tour_and_a_measured_motion() {
     let visit = ["arm", "visit", "--emulated-board", "9x6:20", "--poses", poses.to_str().unwrap()];
     let identify = [&["identify", "delay"], &WITHOUT_IMAGES[..], &WITHOUT_RECORD].concat();
     programs_in_real_time_beside_others(|| {
-        beside_each_other(
-            [(&visit[..], true), (&identify, true), (&visit, false), (&identify, false)],
-            |(args, speaks)| {
-                let mut cell = Cell::start(&["--pose-deg", START_DEG]);
-                let settings = ["--set", "supervisor.operator_key_within_s=5"];
-                let mut moving = Moving::start(&cell, args, if speaks { &[] } else { &settings });
-                let (seen, code, _) = if speaks {
-                    moving.wait_until_it_moves(&mut cell, 0.2);
-                    moving.say("please stop\n");
-                    moving.end(Duration::from_secs(20))
-                } else {
-                    moving.end(Duration::from_secs(40))
-                };
-                let parts = match speaks {
-                    true => ["ended by \"please stop\", which was typed: stopping both arms"; 2],
-                    false => ["are you there?", "operator_silent: the newest"],
-                };
-                assert!(parts.iter().all(|part| seen.contains(part)), "{args:?}: {seen}");
-                assert!(code == Some(130) && cell.joints().1, "{args:?} {code:?}: {seen}");
-                cell.arm.quit();
-            },
-        );
+        let cases = [(&visit[..], true), (&identify, true), (&visit, false), (&identify, false)];
+        beside_each_other(cases, |(args, speaks)| {
+            let (settings, parts, within_s): (&[&str], &[&str], u64) = match speaks {
+                true => (&[], &["ended by \"please stop\", which was typed: stopping both arms"], 20),
+                false => (
+                    &["--set", "supervisor.operator_key_within_s=5"],
+                    &["are you there?", "operator_silent: the newest"],
+                    40,
+                ),
+            };
+            let mut cell = Cell::start(&["--pose-deg", START_DEG]);
+            let mut moving = Moving::start(&cell, args, settings);
+            if speaks {
+                moving.wait_until_it_moves(&mut cell, 0.2);
+                moving.say("please stop\n");
+            }
+            let (seen, code, _) = moving.end(Duration::from_secs(within_s));
+            assert!(parts.iter().all(|part| seen.contains(part)), "{args:?}: {seen}");
+            assert!(code == Some(130) && cell.joints().1, "{args:?} {code:?}: {seen}");
+            cell.arm.quit();
+        });
     });
 }
