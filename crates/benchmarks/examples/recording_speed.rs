@@ -29,7 +29,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     std::fs::create_dir_all(&folder)?;
     println!("| format | pairs per second and thread | kB per pair |\n|---|---|---|");
     for (name, format) in [
-        ("PNG (as `record` writes it)", StoredFormat::QuickPng),
+        ("PNG (as `record` writes it)", StoredFormat::Png),
         ("PNG (as small as it gets)", StoredFormat::Png),
         ("JPEG 95", StoredFormat::Jpeg { quality: 95 }),
         ("JPEG 90", StoredFormat::Jpeg { quality: 90 }),

@@ -224,7 +224,7 @@ fn a_frame_that_does_not_fit_is_refused_and_leaves_the_recording_usable() {
 #[test]
 fn frames_written_by_others_count_as_far_as_they_are_kept() {
     let dir = tempfile::tempdir().unwrap();
-    let mut writer = SequenceWriter::create(dir.path(), &rig(), draft(StoredFormat::QuickPng)).unwrap();
+    let mut writer = SequenceWriter::create(dir.path(), &rig(), draft(StoredFormat::Png)).unwrap();
     let mut files = Vec::new();
     for i in 0..4 {
         let (left, right) = (image(i), image(100 + i));
@@ -251,7 +251,7 @@ fn frames_written_by_others_count_as_far_as_they_are_kept() {
 /// An unfinished recording with some frames, after `fate` has modified its folder.
 fn broken_off(frames: u8, fate: impl FnOnce(&Path)) -> Result<Sequence, DatasetError> {
     let dir = tempfile::tempdir().unwrap();
-    let mut writer = SequenceWriter::create(dir.path(), &rig(), draft(StoredFormat::QuickPng)).unwrap();
+    let mut writer = SequenceWriter::create(dir.path(), &rig(), draft(StoredFormat::Png)).unwrap();
     for i in 0..frames {
         writer.push(posed(u64::from(i), &[image(i), image(100 + i)])).unwrap();
     }
@@ -265,7 +265,7 @@ fn what_was_recorded_until_a_program_was_killed_can_be_read() {
     let whole = broken_off(3, |folder| {
         assert!(!folder.join("sequence.json").exists());
         // No other recording overwrites it.
-        let again = SequenceWriter::create(folder, &rig(), draft(StoredFormat::QuickPng)).unwrap_err();
+        let again = SequenceWriter::create(folder, &rig(), draft(StoredFormat::Png)).unwrap_err();
         assert!(matches!(again, DatasetError::Exists { .. }), "{again}");
         let sequence = load_sequence(folder).unwrap();
         let images = sequence.load_images(2, ImageSize { width: 32, height: 24 }).unwrap();
@@ -294,7 +294,7 @@ fn what_was_recorded_until_a_program_was_killed_can_be_read() {
     assert!(none.to_string().contains("sequence.unfinished.jsonl") && none.to_string().contains("`frames`"), "{none}");
     // A recording without frames does not block the next one.
     let dir = tempfile::tempdir().unwrap();
-    drop(SequenceWriter::create(dir.path(), &rig(), draft(StoredFormat::QuickPng)).unwrap());
+    drop(SequenceWriter::create(dir.path(), &rig(), draft(StoredFormat::Png)).unwrap());
     assert_eq!(recorded(dir.path(), StoredFormat::Png).unwrap(), 3);
     assert!(!dir.path().join("sequence.unfinished.jsonl").exists());
 }

@@ -57,7 +57,7 @@ impl PairFiles {
             // A damaged pair has no files; it is reported where it is used.
             if let Ok(images) = pairs.images(*number, None) {
                 for (image, file) in images.iter().zip(name(*number)) {
-                    save(image, &file, StoredFormat::QuickPng)?;
+                    save(image, &file, StoredFormat::Png)?;
                 }
             }
             progress.inc(1);
@@ -125,7 +125,7 @@ impl StopFiles {
             let images = pairs.images(of_stop, None)?;
             let [left, right] = ["left", "right"].map(|side| format!("{side}_{number:06}.png"));
             for (image, name) in images.iter().zip([&left, &right]) {
-                save(image, &folder.path().join(name), StoredFormat::QuickPng)?;
+                save(image, &folder.path().join(name), StoredFormat::Png)?;
             }
             unpacked.push(Stop { left, right, vs: *vs, tc: *tc });
         }

@@ -1,11 +1,14 @@
 //! Rendered recordings of a chessboard that is carried from pose to pose.
 
-use image::{GrayImage, Luma, RgbImage};
-use nalgebra::{Isometry3, Point3, Translation3, Vector2, Vector3};
+use image::RgbImage;
+use nalgebra::{Isometry3, Translation3, Vector2, Vector3};
 use pb3dp_calibration::board::Chessboard;
 use pb3dp_geometry::{Camera, Distortion, ImageSize, MonotonicTime, Pinhole, Pose, StereoRig, so3};
 use pb3dp_record::dataset::{SearchRange, SequenceDraft, SequenceWriter, WrittenFrame};
 use pb3dp_record::images::StoredFormat;
+
+use crate::renderer::{Imaging, Renderer};
+use crate::support::Random;
 
 pub const SIZE: ImageSize = ImageSize { width: 480, height: 360 };
 pub const RATE_HZ: f64 = 30.0;
@@ -59,63 +62,23 @@ pub fn places(rig: &StereoRig) -> Vec<Isometry3<f64>> {
     list.into_iter().map(|(place, depth_m, turn)| placed(rig, place, depth_m, turn)).collect()
 }
 
-/// The board as a camera sees it, with two by two samples per pixel.
-pub fn image(camera: &Camera, cam_from_board: &Isometry3<f64>, rays: &[Vector3<f64>]) -> GrayImage {
-    let board = board();
-    let (columns, rows) = (f64::from(board.columns()), f64::from(board.rows()));
-    let board_from_cam = cam_from_board.inverse();
-    let centre = board_from_cam * Point3::origin();
-    let grey = |ray: &Vector3<f64>| {
-        let ray = board_from_cam * ray;
-        let at = centre - ray * (centre.z / ray.z);
-        let (c, r) = (at.x / board.square_m(), at.y / board.square_m());
-        let is_on =
-            |margin: f64| (-1.0 - margin..columns + margin).contains(&c) && (-1.0 - margin..rows + margin).contains(&r);
-        let is_dark = (c.floor() + r.floor()).rem_euclid(2.0) < 0.5;
-        match (is_on(0.0), is_on(0.6)) {
-            (true, _) if is_dark => 35.0,
-            (true, _) | (_, true) => 215.0,
-            _ => 110.0,
-        }
-    };
-    let width = camera.size().width;
-    GrayImage::from_fn(width, camera.size().height, |u, v| {
-        let first = 4 * (v * width + u) as usize;
-        let sum: f64 = rays[first..first + 4].iter().map(grey).sum();
-        Luma([(0.25 * sum).round() as u8])
-    })
-}
-
-/// The rays of all samples of a camera's images.
-pub fn rays(camera: &Camera) -> Vec<Vector3<f64>> {
-    let size = camera.size();
-    let mut rays = Vec::with_capacity(4 * (size.width * size.height) as usize);
-    for (v, u) in (0..size.height).flat_map(|v| (0..size.width).map(move |u| (v, u))) {
-        for (du, dv) in [(-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)] {
-            let pixel = Vector2::new(f64::from(u) + du, f64::from(v) + dv);
-            rays.push(camera.unproject(&pixel).expect("inside the image"));
-        }
-    }
-    rays
-}
-
 /// Renders both images.
 pub struct Studio {
     pub rig: StereoRig,
-    rays: [Vec<Vector3<f64>>; 2],
+    cameras: [Renderer; 2],
 }
 
 impl Studio {
     pub fn new(rig: StereoRig) -> Self {
-        Self { rays: [rays(rig.left()), rays(rig.right())], rig }
+        Self { cameras: [rig.left(), rig.right()].map(Renderer::new), rig }
     }
 
-    pub fn pair(&self, cam_left_from_board: &Isometry3<f64>, blur_px: f32) -> [RgbImage; 2] {
+    pub fn pair(&self, cam_left_from_board: &Isometry3<f64>, blur_px: f64) -> [RgbImage; 2] {
         let cam_right_from_board = self.rig.cam_right_from_cam_left().isometry() * cam_left_from_board;
-        let left = image(self.rig.left(), cam_left_from_board, &self.rays[0]);
-        let right = image(self.rig.right(), &cam_right_from_board, &self.rays[1]);
-        [left, right].map(|image| {
-            let image = if blur_px > 0.0 { image::imageops::blur(&image, blur_px) } else { image };
+        let [left, right] = &self.cameras;
+        [(left, cam_left_from_board), (right, &cam_right_from_board)].map(|(camera, cam_from_board)| {
+            let imaging = Imaging { blur_px, noise_grey: 0.0, contrast: 1.0 };
+            let image = camera.image(&camera.light(cam_from_board, &board()), imaging, &mut Random::new(0));
             image::DynamicImage::from(image).into_rgb8()
         })
     }
@@ -126,7 +89,7 @@ pub fn writer(folder: &std::path::Path, rig: &StereoRig) -> SequenceWriter {
     let draft = SequenceDraft {
         region_polygon_left_px: vec![[200.0, 100.0], [280.0, 100.0], [280.0, 180.0]],
         search: SearchRange { z_min_m: 0.3, z_max_m: 0.8, tilt_max_rad: 1.0 },
-        images: StoredFormat::QuickPng,
+        images: StoredFormat::Png,
     };
     SequenceWriter::create(folder, rig, draft).expect("a folder")
 }

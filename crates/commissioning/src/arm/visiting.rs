@@ -477,7 +477,7 @@ impl<'a> Keeping<'a> {
             let name = |side: &str| format!("{side}/{:06}.png", still.stop);
             let (left, right) = (name("left"), name("right"));
             for (file, image) in [(&left, &still.pair.left), (&right, &still.pair.right)] {
-                save(image, &folder.join(file), StoredFormat::QuickPng)?;
+                save(image, &folder.join(file), StoredFormat::Png)?;
             }
             self.stops.stops.push(Stop { left, right, vs, tc: Some(tc) });
             save_stops(folder, &self.stops)?;

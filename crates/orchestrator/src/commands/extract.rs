@@ -52,7 +52,7 @@ pub fn run(args: &ExtractArgs) -> Result<ExitCode> {
         match pairs.images(number, None) {
             Ok(images) => {
                 for (image, folder) in images.iter().zip(&folders) {
-                    save(image, &folder.join(format!("{number:06}.png")), StoredFormat::QuickPng)?;
+                    save(image, &folder.join(format!("{number:06}.png")), StoredFormat::Png)?;
                 }
             }
             Err(error) => {

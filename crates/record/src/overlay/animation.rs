@@ -5,7 +5,8 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
-use image::{RgbImage, imageops};
+use image::imageops::FilterType;
+use image::{DynamicImage, RgbImage};
 
 /// Size limits of an animation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -98,7 +99,8 @@ impl Animation {
         };
         let mut small = match image.dimensions() == (width, height) {
             true => image.clone(),
-            false => imageops::resize(image, width, height, imageops::FilterType::Triangle),
+            // The image crate's own, optimised copy of the code.
+            false => DynamicImage::from(image.clone()).resize_exact(width, height, FilterType::Triangle).into_rgb8(),
         };
         // Sensor noise in the low bits cannot be compressed; 5 bits per channel make the file three times smaller.
         small.iter_mut().for_each(|x| *x = (*x & 0xF8) | (*x >> 5));

@@ -242,7 +242,7 @@ fn draft(args: &RecordArgs, target: &ChosenTarget, size: ImageSize) -> Result<Se
     Ok(SequenceDraft {
         region_polygon_left_px,
         search: SearchRange { z_min_m, z_max_m, tilt_max_rad: tilt_max_rad.unwrap_or(TILT_MAX_DEG.to_radians()) },
-        images: args.jpeg.map_or(StoredFormat::QuickPng, |quality| StoredFormat::Jpeg { quality }),
+        images: args.jpeg.map_or(StoredFormat::Png, |quality| StoredFormat::Jpeg { quality }),
     })
 }
 
