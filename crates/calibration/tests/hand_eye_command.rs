@@ -18,10 +18,11 @@ use pb3dp_geometry::{Camera, Pinhole, Pose, StereoRig, se3, so3};
 use pb3dp_record::calibration_files::{
     BoardPlace, CameraIdentity, HandEye, load_hand_eye, load_stereo, save_cameras, save_json,
 };
+use pb3dp_record::images::{StoredFormat, save};
 use pb3dp_record::stops::{ArmOfPoses, ArmStand, Stop, Stops, load_poses, save_stops};
 
 use crate::arm::{GOOD, Place, World};
-use crate::images::Painter;
+use crate::renderer::{Imaging, Renderer};
 use crate::support::{Random, board};
 
 fn calibrate(args: &[&str]) -> Output {
@@ -43,7 +44,7 @@ fn told(args: &[&str]) -> String {
 /// A workcell with two arms, one of which carries the board.
 struct Cell {
     world: World,
-    painters: [Painter; 2],
+    cameras: [Renderer; 2],
     random: Random,
     folder: PathBuf,
 }
@@ -73,8 +74,11 @@ impl Cell {
             let cam_left_from_board = (vs * self.world.flange_from_cam_left).inverse() * self.base_from_board(tc);
             let right = self.world.rig.cam_right_from_cam_left().isometry() * cam_left_from_board;
             let files = ["left", "right"].map(|side| format!("{side}_{index:02}.png"));
-            for ((painter, pose), file) in self.painters.iter().zip([cam_left_from_board, right]).zip(&files) {
-                painter.image(&pose, &board(), &mut self.random).save(folder.join(file)).expect("written");
+            for ((camera, pose), file) in self.cameras.iter().zip([cam_left_from_board, right]).zip(&files) {
+                let imaging = Imaging { blur_px: 0.0, noise_grey: 1.0, contrast: 1.0 };
+                let image = camera.image(&camera.light(&pose, &board()), imaging, &mut self.random);
+                save(&image::DynamicImage::from(image).into_rgb8(), &folder.join(file), StoredFormat::Png)
+                    .expect("written");
             }
             let [left, right] = files;
             // A stationary arm reports the same pose each time.
@@ -148,8 +152,8 @@ fn head_hand_and_both_arms_are_calibrated_by_the_commands_alone() {
     let path = |name: &str| folder.path().join(name).display().to_string();
     let mut random = Random::new(77);
     let world = World::carried(&mut random);
-    let painters = [world.rig.left(), world.rig.right()].map(Painter::new);
-    let mut cell = Cell { world, painters, random, folder: folder.path().to_path_buf() };
+    let cameras = [world.rig.left(), world.rig.right()].map(Renderer::new);
+    let mut cell = Cell { world, cameras, random, folder: folder.path().to_path_buf() };
     let [calib, nominal, hand_eye, vs_poses] = ["calib.toml", "nominal.json", "hand_eye.toml", "vs.toml"].map(path);
     let first = first_look(&cell);
     let look = cell.record("look", &[first]).display().to_string();

@@ -11,8 +11,6 @@ mod corners;
 mod film;
 mod hand_eye;
 mod hand_eye_command;
-#[path = "support/images.rs"]
-mod images;
 mod opencv;
 mod propose;
 mod recording;

@@ -8,6 +8,7 @@ use pb3dp_estimation_core::method::EstimateRequest;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::{StereoRig, ValueRange};
+use pb3dp_test_support::sweep;
 
 use crate::abuse::camera_memory::{Form, Memory};
 use crate::moving_plane::{Shot, general_rig, moving, rectified_rig, region, render};
@@ -92,10 +93,11 @@ fn images_of_raw_rigs_give_the_same_bits_in_every_form() {
     check(&rig, &region(&rig, &moving(0.0)), 1.0);
 }
 
-/// Saturated pixels, which the methods treat apart.
+/// Saturated pixels, which the methods treat apart; those of a rectified rig in the long tier.
 #[test]
 fn bright_images_give_the_same_bits_in_every_form() {
-    for rig in [rectified_rig(), general_rig()] {
-        check(&rig, &region(&rig, &moving(0.0)), 1.6);
+    let rigs = [general_rig(), rectified_rig()];
+    for rig in &rigs[..sweep(1, 2)] {
+        check(rig, &region(rig, &moving(0.0)), 1.6);
     }
 }

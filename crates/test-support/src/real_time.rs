@@ -3,13 +3,13 @@
 use std::any::{Any, type_name};
 use std::fs::File;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use crate::not_checked;
 use crate::scheduling::{Entered, Policy, Preferred};
 use crate::verdict::{Tries, Verdict, judge};
-use crate::witness::{Delay, TOO_LATE, Witness};
+use crate::witness::{Delay, TOO_LATE, Witness, of};
 
 /// Delays recorded by the threads of the running test.
 static OWN: Mutex<Vec<Delay>> = Mutex::new(Vec::new());
@@ -26,10 +26,6 @@ pub enum Turn {
     Alone,
     /// Other tests of this kind may run: the test mostly sleeps, and leaves most of a cycle to others.
     BesideOthers,
-}
-
-fn of<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Priority of the threads of a test.

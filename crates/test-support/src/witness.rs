@@ -4,12 +4,13 @@
 //! thread (another program, the kernel, the hypervisor) also delays the product. In the class SCHED_FIFO the witness has a
 //! priority one above the test, so that the product's own computing is never counted as lateness of the machine.
 
+use std::collections::VecDeque;
 use std::fs::File;
 use std::io::{self, Read, Write};
 use std::os::unix::fs::OpenOptionsExt;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Barrier};
-use std::thread::{Builder, JoinHandle, available_parallelism};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Barrier, Mutex, MutexGuard, PoisonError, Weak};
+use std::thread::{Builder, available_parallelism};
 use std::time::{Duration, Instant};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -24,7 +25,7 @@ pub const PERIOD: Duration = Duration::from_millis(1);
 pub const TOO_LATE: Duration = Duration::from_millis(5);
 /// Delays below this are not recorded.
 const WORTH_RECORDING: Duration = Duration::from_millis(1);
-/// Maximum number of delays recorded by a thread; the worst one is always kept.
+/// Maximum number of delays kept.
 const ROOM: usize = 1 << 14;
 
 /// One delay: a thread or a byte was due earlier and came at this time.
@@ -49,37 +50,54 @@ impl Delay {
 pub struct Testimony {
     /// The delays worth recording, of all witnesses.
     pub delays: Vec<Delay>,
-    /// The longest.
+    /// The longest, zero if none was worth recording.
     pub worst: Duration,
 }
 
-impl Testimony {
-    fn see(&mut self, due: Instant, at: Instant) {
+/// What the threads of one policy share.
+#[derive(Debug)]
+struct Watch {
+    is_over: AtomicBool,
+    /// The most recent delays, oldest first. With room for all: tests count allocations.
+    seen: Mutex<VecDeque<Delay>>,
+    /// Of each thread, how often it was awake.
+    awake: Vec<AtomicU64>,
+}
+
+impl Watch {
+    fn see(&self, due: Instant, at: Instant) {
         let late = at.saturating_duration_since(due);
-        self.worst = self.worst.max(late);
-        // Without heap allocation: tests count allocations.
-        if late >= WORTH_RECORDING && self.delays.len() < self.delays.capacity() {
-            self.delays.push(Delay { at, late });
+        if late >= WORTH_RECORDING {
+            let mut seen = of(&self.seen);
+            if seen.len() == ROOM {
+                seen.pop_front();
+            }
+            seen.push_back(Delay { at, late });
         }
-    }
-
-    fn with_room() -> Self {
-        Self { delays: Vec::with_capacity(ROOM), worst: Duration::ZERO }
-    }
-
-    fn join(mut self, other: Self) -> Self {
-        self.delays.extend(other.delays);
-        self.worst = self.worst.max(other.worst);
-        self
     }
 }
 
-/// Threads that record their wake-up delay.
+/// The threads of a policy, which end with their last [`Witness`].
+#[derive(Debug)]
+struct Threads {
+    watch: Arc<Watch>,
+    policy: Policy,
+}
+
+impl Drop for Threads {
+    fn drop(&mut self) {
+        self.watch.is_over.store(true, Ordering::Relaxed);
+    }
+}
+
+/// The threads that run in this process.
+static RUNNING: Mutex<Vec<Weak<Threads>>> = Mutex::new(Vec::new());
+
+/// Threads that record their wake-up delay, shared by all tests of the process with the same policy.
 #[derive(Debug)]
 pub struct Witness {
-    is_over: Arc<AtomicBool>,
-    threads: Vec<JoinHandle<Testimony>>,
-    policy: Policy,
+    threads: Arc<Threads>,
+    since: Instant,
 }
 
 impl Witness {
@@ -89,56 +107,87 @@ impl Witness {
     /// # Errors
     /// The system provides no thread or no pseudo-terminal.
     pub fn start(policy: Policy) -> io::Result<Self> {
-        let mut witness = Self { is_over: Arc::default(), threads: Vec::new(), policy };
-        for cpu in 0..available_parallelism()?.get() {
-            witness.spawn(move |testimony, is_over| {
-                run_on(cpu);
-                sleep_and_see(testimony, is_over);
-            })?;
-        }
-        let (near, far) = open_line()?;
-        witness.spawn(move |testimony, is_over| echo(near, far, testimony, is_over))?;
-        Ok(witness)
+        let mut running = of(&RUNNING);
+        running.retain(|threads| threads.strong_count() > 0);
+        let same = running.iter().filter_map(Weak::upgrade).find(|threads| threads.policy == policy);
+        let threads = match same {
+            Some(threads) => threads,
+            None => {
+                let threads = Arc::new(Threads::start(policy)?);
+                running.push(Arc::downgrade(&threads));
+                threads
+            }
+        };
+        Ok(Self { threads, since: Instant::now() })
     }
 
-    fn spawn(&mut self, watch: impl FnOnce(&mut Testimony, &AtomicBool) + Send + 'static) -> io::Result<()> {
-        let is_over = Arc::clone(&self.is_over);
+    /// The observations since the start. Waits until each witness was awake: one that is held up now counts.
+    pub fn end(self) -> Testimony {
+        let awake = || self.threads.watch.awake.iter().map(|count| count.load(Ordering::Acquire));
+        let before: Vec<u64> = awake().collect();
+        while awake().zip(&before).any(|(now, before)| now == *before) {
+            std::thread::sleep(PERIOD);
+        }
+        let seen = of(&self.threads.watch.seen);
+        let delays: Vec<Delay> = seen.iter().filter(|delay| delay.at >= self.since).copied().collect();
+        Testimony { worst: delays.iter().map(|delay| delay.late).max().unwrap_or_default(), delays }
+    }
+}
+
+impl Threads {
+    fn start(policy: Policy) -> io::Result<Self> {
+        let processors = available_parallelism()?.get();
+        let watch = Arc::new(Watch {
+            is_over: AtomicBool::new(false),
+            seen: Mutex::new(VecDeque::with_capacity(ROOM)),
+            awake: (0..=processors).map(|_| AtomicU64::new(0)).collect(),
+        });
+        // Ends those that run already if one cannot be started.
+        let threads = Self { watch, policy };
+        for cpu in 0..processors {
+            threads.spawn(cpu, Some(cpu), move |watch| {
+                let due = Instant::now() + PERIOD;
+                std::thread::sleep(PERIOD);
+                watch.see(due, Instant::now());
+            })?;
+        }
+        let (mut near, mut far) = open_line()?;
+        threads.spawn(processors, None, move |watch| {
+            echo(&mut near, &mut far, watch);
+            std::thread::sleep(PERIOD);
+        })?;
+        Ok(threads)
+    }
+
+    /// Repeats `turn` in a thread, on this processor.
+    fn spawn(
+        &self,
+        number: usize,
+        cpu: Option<usize>,
+        mut turn: impl FnMut(&Watch) + Send + 'static,
+    ) -> io::Result<()> {
+        let watch = Arc::clone(&self.watch);
         let runs = Arc::new(Barrier::new(2));
         let begun = Arc::clone(&runs);
         let policy = self.policy;
-        let thread = Builder::new().name("witness".to_owned()).spawn(move || {
+        Builder::new().name("witness".to_owned()).spawn(move || {
             // Not granted: the witness competes with all other programs, as the test does.
             policy.enter();
-            let mut testimony = Testimony::with_room();
+            cpu.into_iter().for_each(run_on);
             begun.wait();
-            watch(&mut testimony, &is_over);
-            testimony
+            while !watch.is_over.load(Ordering::Relaxed) {
+                turn(&watch);
+                watch.awake[number].fetch_add(1, Ordering::Release);
+            }
         })?;
         runs.wait();
-        self.threads.push(thread);
         Ok(())
     }
-
-    /// Stops the witnesses and returns their observations.
-    pub fn end(mut self) -> Testimony {
-        self.is_over.store(true, Ordering::Relaxed);
-        let seen = self.threads.drain(..).filter_map(|thread| thread.join().ok());
-        seen.fold(Testimony::default(), Testimony::join)
-    }
 }
 
-impl Drop for Witness {
-    fn drop(&mut self) {
-        self.is_over.store(true, Ordering::Relaxed);
-    }
-}
-
-fn sleep_and_see(testimony: &mut Testimony, is_over: &AtomicBool) {
-    while !is_over.load(Ordering::Relaxed) {
-        let due = Instant::now() + PERIOD;
-        std::thread::sleep(PERIOD);
-        testimony.see(due, Instant::now());
-    }
+/// The contents of a lock, also after a panic of another test.
+pub(crate) fn of<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Both ends of a pseudo-terminal in raw mode.
@@ -156,19 +205,14 @@ fn open_line() -> io::Result<(File, File)> {
 }
 
 /// Measures how long a byte takes through the line, which is served by a kernel thread.
-fn echo(mut near: File, mut far: File, testimony: &mut Testimony, is_over: &AtomicBool) {
-    while !is_over.load(Ordering::Relaxed) {
-        let sent = Instant::now();
-        // A line error shows nothing. Neither does a lost byte: a program of another test that still looks for its own line may
-        // have read it, because the numbers of pseudo-terminals are reused. It may also have changed the line settings, so that a
-        // read does not block.
-        match near.write_all(&[0x55]).and_then(|()| wait_for_byte(&far)).and_then(|()| far.read(&mut [0])) {
-            Ok(0) => {}
-            Ok(_) => testimony.see(sent, Instant::now()),
-            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
-            Err(_) => break,
-        }
-        std::thread::sleep(PERIOD);
+fn echo(near: &mut File, far: &mut File, watch: &Watch) {
+    let sent = Instant::now();
+    // A line error shows nothing. Neither does a lost byte: a program of another test that still looks for its own line may
+    // have read it, because the numbers of pseudo-terminals are reused. It may also have changed the line settings, so that a
+    // read does not block.
+    let heard = near.write_all(&[0x55]).and_then(|()| wait_for_byte(far)).and_then(|()| far.read(&mut [0]));
+    if heard.is_ok_and(|bytes| bytes > 0) {
+        watch.see(sent, Instant::now());
     }
 }
 
@@ -183,29 +227,45 @@ fn wait_for_byte(line: &File) -> io::Result<()> {
 mod tests {
     use super::*;
 
-    #[test]
-    fn a_held_processor_is_seen() {
-        // No thread with a lower or without a priority can delay a witness: the record itself is checked.
-        let mut testimony = Testimony::with_room();
-        let due = Instant::now();
-        testimony.see(due, due + Duration::from_micros(900));
-        testimony.see(due, due + Duration::from_millis(7));
-        assert_eq!(testimony.worst, Duration::from_millis(7));
-        assert_eq!(testimony.delays, [Delay { at: due + Duration::from_millis(7), late: Duration::from_millis(7) }]);
+    fn watch() -> Watch {
+        Watch { is_over: AtomicBool::new(false), seen: Mutex::new(VecDeque::with_capacity(ROOM)), awake: Vec::new() }
     }
 
     #[test]
-    fn witnesses_watch_until_they_end() {
-        let witness = Witness::start(Policy::WITNESS).expect("threads and a line");
-        assert_eq!(witness.threads.len(), available_parallelism().expect("a number").get() + 1);
-        std::thread::sleep(Duration::from_millis(30));
-        let seen = witness.end();
-        assert!(seen.worst > Duration::ZERO, "{seen:?}");
+    fn a_held_processor_is_seen() {
+        // No thread with a lower or without a priority can delay a witness: the record itself is checked.
+        let watch = watch();
+        let due = Instant::now();
+        watch.see(due, due + Duration::from_micros(900));
+        let late = |millis| Delay { at: due + Duration::from_millis(millis), late: Duration::from_millis(millis) };
+        watch.see(due, due + Duration::from_millis(7));
+        assert_eq!(*of(&watch.seen), [late(7)]);
+        (0..ROOM).for_each(|_| watch.see(due, due + Duration::from_millis(8)));
+        assert_eq!(*of(&watch.seen), [late(8); ROOM]);
+    }
+
+    #[test]
+    fn witnesses_of_one_policy_are_shared_and_end_with_the_last() {
+        let policy = Policy::current();
+        let first = Witness::start(policy).expect("threads and a line");
+        let threads = Arc::downgrade(&first.threads);
+        let watch = Arc::clone(&first.threads.watch);
+        watch.see(first.since, first.since + Duration::from_millis(1));
+        let second = Witness::start(policy).expect("the same");
+        assert!(Arc::ptr_eq(&first.threads, &second.threads));
+        assert_eq!(watch.awake.len(), available_parallelism().expect("a number").get() + 1);
+        let planted = Delay { at: second.since + Duration::from_secs(1), late: Duration::from_secs(60) };
+        watch.see(planted.at - planted.late, planted.at);
+        assert_eq!(second.end().worst, planted.late);
+        assert!(threads.strong_count() > 0);
+        let seen = first.end();
+        assert!(seen.delays.len() >= 2 && seen.delays.contains(&planted), "{seen:?}");
+        assert!(threads.strong_count() == 0 && watch.is_over.load(Ordering::Relaxed));
     }
 
     #[test]
     fn a_line_whose_bytes_another_program_takes_does_not_hold_the_witness() {
-        let (near, far) = open_line().expect("a line");
+        let (mut near, mut far) = open_line().expect("a line");
         let mut thief = far.try_clone().expect("the same line");
         let is_over = AtomicBool::new(false);
         let begun = Instant::now();
@@ -217,7 +277,10 @@ mod tests {
                 }
                 is_over.store(true, Ordering::Relaxed);
             });
-            echo(near, far, &mut Testimony::with_room(), &is_over);
+            let watch = watch();
+            while !is_over.load(Ordering::Relaxed) {
+                echo(&mut near, &mut far, &watch);
+            }
         });
         // The reader waits a second for the byte that was taken last.
         assert!(begun.elapsed() < Duration::from_secs(5), "{:?}", begun.elapsed());

@@ -55,32 +55,77 @@ pub fn arm_suite<A: Arm + ArmPower>(
     expectations: &ArmExpectations,
     hooks: &ArmHooks<A>,
 ) -> Report {
+    arm_suite_of(&ArmPart::ALL, make, clock, expectations, hooks)
+}
+
+/// The parts of [`arm_suite`], each with an arm of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ArmPart {
+    /// Before it is enabled.
+    Disabled,
+    /// Motion and rest.
+    Motion,
+    /// Commands that are no numbers.
+    NotFinite,
+    /// The stop.
+    Stop,
+    /// A lost reply.
+    LostReply,
+    /// A fault of the arm.
+    Fault,
+    /// The emergency stop.
+    EmergencyStop,
+}
+
+impl ArmPart {
+    /// Every part.
+    pub const ALL: [Self; 7] =
+        [Self::Disabled, Self::Motion, Self::NotFinite, Self::Stop, Self::LostReply, Self::Fault, Self::EmergencyStop];
+
+    fn check<A: Arm + ArmPower>(self, bench: &mut Bench<'_, A>, hooks: &ArmHooks<A>) {
+        match self {
+            Self::Disabled => check_disabled(bench),
+            Self::Motion => check_motion(bench),
+            Self::NotFinite => check_not_finite(bench),
+            Self::Stop => check_stop(bench),
+            Self::LostReply => check_lost_reply(bench, &hooks.lose_reply),
+            Self::Fault => check_latching(
+                bench,
+                &Latching {
+                    raise: &hooks.raise_fault,
+                    remove: &hooks.remove_fault_cause,
+                    state: ArmState::Fault,
+                    rule: "fault-latches",
+                },
+            ),
+            Self::EmergencyStop => check_latching(
+                bench,
+                &Latching {
+                    raise: &hooks.press_e_stop,
+                    remove: &hooks.release_e_stop,
+                    state: ArmState::EStop,
+                    rule: "e-stop-latches",
+                },
+            ),
+        }
+    }
+}
+
+/// As [`arm_suite`], for some of its parts: those of an arm in real time may run beside each other.
+pub fn arm_suite_of<A: Arm + ArmPower>(
+    parts: &[ArmPart],
+    make: impl Fn() -> A,
+    clock: &dyn Clock,
+    expectations: &ArmExpectations,
+    hooks: &ArmHooks<A>,
+) -> Report {
     let mut report = Report::new(&make().info().name);
-    let mut with_new_arm = |check: &dyn Fn(&mut Bench<'_, A>)| {
+    for part in parts {
         let mut bench = Bench { arm: make(), clock, expectations, report: &mut report, last_sample: None };
-        check(&mut bench);
+        part.check(&mut bench, hooks);
         // The arm is stopped whatever went wrong.
         let _ = bench.arm.stop();
-    };
-    with_new_arm(&check_disabled);
-    with_new_arm(&check_motion);
-    with_new_arm(&check_not_finite);
-    with_new_arm(&check_stop);
-    with_new_arm(&|bench| check_lost_reply(bench, &hooks.lose_reply));
-    let fault = Latching {
-        raise: &hooks.raise_fault,
-        remove: &hooks.remove_fault_cause,
-        state: ArmState::Fault,
-        rule: "fault-latches",
-    };
-    let e_stop = Latching {
-        raise: &hooks.press_e_stop,
-        remove: &hooks.release_e_stop,
-        state: ArmState::EStop,
-        rule: "e-stop-latches",
-    };
-    with_new_arm(&|bench| check_latching(bench, &fault));
-    with_new_arm(&|bench| check_latching(bench, &e_stop));
+    }
     report
 }
 

@@ -17,7 +17,7 @@ pub mod clock;
 pub mod mocks;
 mod report;
 
-pub use arm::{ArmExpectations, ArmHooks, arm_suite};
+pub use arm::{ArmExpectations, ArmHooks, ArmPart, arm_suite, arm_suite_of};
 pub use camera::{CameraExpectations, stereo_camera_suite};
 pub use clock::clock_suite;
 pub use report::{Report, Violation};

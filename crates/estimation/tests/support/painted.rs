@@ -1,4 +1,4 @@
-//! A painted plane that moves: ray-cast images with 16 samples per pixel, and paints that repeat or lack a direction.
+//! A painted plane that moves: ray-cast images with nine samples per pixel, and paints that repeat or lack a direction.
 #![allow(dead_code, clippy::expect_used, reason = "shared by tests that use different parts")]
 
 use image::{Rgb, RgbImage};
@@ -11,7 +11,7 @@ use crate::moving_plane::{RADIUS_M, SIZE, noise};
 /// Noise of a channel, grey levels.
 const NOISE: f64 = 1.5;
 /// Samples of a pixel in a row and in a column: what a sensor integrates.
-const SAMPLES: u32 = 4;
+const SAMPLES: u32 = 3;
 /// Farther from the centre of the target, pixels, one sample is enough: nothing there is compared.
 const FINE_PX: f64 = 80.0;
 
@@ -73,8 +73,10 @@ pub fn stripes(x: f64, _: f64) -> Option<f64> {
 }
 
 pub fn texture(x: f64, y: f64) -> Option<f64> {
-    let (a, b) = (wave(x + 0.4 * y, 0.017), wave(y - 0.3 * x, 0.021));
-    (x.hypot(y) < RADIUS_M).then(|| 128.0 + 40.0 * a + 40.0 * b + 20.0 * wave(x - y, 0.031))
+    (x.hypot(y) < RADIUS_M).then(|| {
+        let (a, b) = (wave(x + 0.4 * y, 0.017), wave(y - 0.3 * x, 0.021));
+        128.0 + 40.0 * a + 40.0 * b + 20.0 * wave(x - y, 0.031)
+    })
 }
 
 /// Squares of 12 mm, without an end.

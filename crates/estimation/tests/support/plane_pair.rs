@@ -205,11 +205,15 @@ pub fn rig(baseline_m: f64) -> StereoRig {
     StereoRig::new(camera(322.0), camera(315.0), pose).unwrap()
 }
 
-/// A lobed outline.
+/// Within a lobed outline.
 fn outline(setup: &Setup, x_mm: f64, y_mm: f64) -> bool {
+    let distance = x_mm.hypot(y_mm) / (1e3 * setup.radius_m);
+    if !(0.82..1.18).contains(&distance) {
+        return distance < 1.0;
+    }
     let angle = y_mm.atan2(x_mm);
-    let radius = 1e3 * setup.radius_m * (1.0 + 0.12 * (5.0 * angle + 0.4).sin() + 0.06 * (2.0 * angle).cos());
-    x_mm.hypot(y_mm) < radius
+    let radius = 1.0 + 0.12 * (5.0 * angle + 0.4).sin() + 0.06 * (2.0 * angle).cos();
+    distance < radius
 }
 
 pub fn render(setup: &Setup, target: &Texture, background: &Texture) -> Pair {

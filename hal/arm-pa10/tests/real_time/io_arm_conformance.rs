@@ -17,12 +17,12 @@ use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_test_support::cell_end::{Cell, CellEnd};
 use pb3dp_hal_api::{ArmPower, ArmState};
 use pb3dp_hal_clock::SystemClock;
-use pb3dp_hal_conformance::{ArmExpectations, ArmHooks, Report, arm_suite};
+use pb3dp_hal_conformance::{ArmExpectations, ArmHooks, ArmPart, Report, arm_suite_of};
 use pb3dp_hal_platform::pty::Pty;
 use pb3dp_hal_platform::realtime::{Realtime, enter};
 use pb3dp_hal_platform::transport::ByteLink;
 use pb3dp_kinematics::JointVector;
-use pb3dp_test_support::in_real_time_beside_others;
+use pb3dp_test_support::{beside_each_other, in_real_time_beside_others};
 
 const CYCLE: Duration = Duration::from_millis(10);
 
@@ -82,7 +82,7 @@ fn with(
     })
 }
 
-fn suite(dialect: Dialect, format: WireFormat) -> Report {
+fn suite(part: ArmPart, dialect: Dialect, format: WireFormat) -> Report {
     let clock = Arc::new(SystemClock::new());
     let cell: Rc<RefCell<Option<CellEnd>>> = Rc::default();
     let make = || {
@@ -113,17 +113,15 @@ fn suite(dialect: Dialect, format: WireFormat) -> Report {
         release_e_stop: Some(with(&cell, "e-stop release", None)),
     };
     let expectations = ArmExpectations { speed_rad_per_s: 0.1, settles_within: Duration::from_millis(250) };
-    arm_suite(make, clock.as_ref(), &expectations, &hooks)
-}
-
-fn keeps_the_contract(dialect: Dialect, format: WireFormat) {
-    // Real-time where permitted; the arm's own thread requests it by itself.
-    enter(&Realtime { priority: Some(30), locks_memory: false, cpu: None });
-    // The behaviour on a machine that delays threads is tested in virtual time.
-    in_real_time_beside_others(|| suite(dialect, format).assert_passed());
+    arm_suite_of(&[part], make, clock.as_ref(), &expectations, &hooks)
 }
 
 #[test]
 fn an_arm_behind_a_gateway_keeps_the_contract() {
-    keeps_the_contract(Dialect::GatewayV1, WireFormat::BigEndian6x10);
+    beside_each_other(ArmPart::ALL, |part| {
+        // Real-time where permitted; the arm's own thread requests it by itself.
+        enter(&Realtime { priority: Some(30), locks_memory: false, cpu: None });
+        // The behaviour on a machine that delays threads is tested in virtual time.
+        in_real_time_beside_others(|| suite(part, Dialect::GatewayV1, WireFormat::BigEndian6x10).assert_passed());
+    });
 }
