@@ -1,5 +1,6 @@
 //! `cargo xtask check-deps`: rules for dependencies and access to the system.
 
+mod features;
 mod fuzz_lock;
 mod graph;
 mod modules;
@@ -18,6 +19,7 @@ use crate::workspace::Workspace;
 /// * No cycle between modules of one parent: those that lib.rs declares, and those of each folder below.
 /// * A list of modules may name backends; backends do not name each other, the estimation or the servo.
 /// * The entry of the estimation has at most 120 public items, and no glob re-export.
+/// * A build of one package has the features of third-party crates that the build of all packages has.
 /// * The lock file of the fuzz targets has the dependencies of our packages.
 /// * Only setup, cell, commissioning, orchestrator, record, benchmarks and calibration use serde.
 /// * Files, threads, clocks, the environment, the network: only the modules in the table of xtask/src/check_deps/source.rs
@@ -40,5 +42,6 @@ pub fn run(workspace: &Workspace, _: &Args) -> anyhow::Result<()> {
     violations.extend(public_surface::check(&texts));
     let lock = std::fs::read_to_string(workspace.root().join(fuzz_lock::FILE)).context(fuzz_lock::FILE)?;
     violations.extend(fuzz_lock::check(&lock, &metadata)?);
+    violations.extend(features::check(workspace)?);
     conclude("check-deps", &format!("{} packages, {} Rust files", packages.len(), texts.len()), violations)
 }
