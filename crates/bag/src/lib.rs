@@ -22,6 +22,7 @@ mod codes;
 pub mod encoded;
 mod error;
 pub mod live;
+pub mod matching;
 mod mcap_file;
 pub mod messages;
 pub mod pairs;

@@ -1,6 +1,5 @@
 //! The stereo pairs of a recording, with their calibration.
 
-use std::collections::VecDeque;
 use std::path::Path;
 use std::time::Duration;
 
@@ -13,6 +12,7 @@ use pb3dp_record::value_range::{ValueRange, range_of_pair};
 
 use crate::BagError;
 use crate::cdr::{CdrValue, from_bytes};
+use crate::matching::Matching;
 use crate::messages::{CameraInfo, CompressedImage, Header, Image, Point32, PolygonStamped, Text};
 use crate::pixels::{Pixels, converted, pixels};
 use crate::reader::{Bag, RawMessage};
@@ -20,8 +20,6 @@ use crate::topics::{Topic, find_pair, ours};
 
 /// Longest time between the images of a pair by default: cameras with a common trigger are within it.
 pub const PAIR_WITHIN: Duration = Duration::from_millis(3);
-/// Images of one side that wait for the other side. A recording in which one camera has stopped takes no more memory.
-const WAITING_MAX: usize = 64;
 /// Messages that are read at most in search of the calibration, if there is no message of it at the begin.
 const SEARCHED_MAX: usize = 20_000;
 
@@ -74,10 +72,8 @@ pub struct MarkedRegion {
 pub struct BagPairs {
     messages: Box<dyn Iterator<Item = Result<RawMessage, BagError>> + Send>,
     topics: [Topic; 2],
-    within: Duration,
     range: Option<ValueRange>,
-    waiting: [VecDeque<Stamped>; 2],
-    unpaired: u64,
+    matching: Matching<RawMessage>,
     notes: Vec<String>,
     is_over: bool,
 }
@@ -199,10 +195,8 @@ impl StereoBag {
         BagPairs {
             messages: Box::new(self.bag.messages()),
             topics: self.topics.clone(),
-            within: self.options.within,
             range: self.options.range,
-            waiting: Default::default(),
-            unpaired: 0,
+            matching: Matching::new(self.options.within),
             notes: Vec::new(),
             is_over: false,
         }
@@ -212,7 +206,7 @@ impl StereoBag {
 impl BagPairs {
     /// Number of images without a partner so far.
     pub fn unpaired(&self) -> u64 {
-        self.unpaired
+        self.matching.unpaired()
     }
 
     /// What the user should know since the last call.
@@ -231,42 +225,23 @@ impl BagPairs {
     /// The next pair, without conversion of its images; the messages of its left and right image.
     fn next_match(&mut self) -> Option<Result<[Stamped; 2], BagError>> {
         loop {
-            if let Some(found) = self.matched() {
-                return Some(Ok(found));
+            if let Some(found) = self.matching.next_pair() {
+                return Some(Ok(found.map(|(at, message)| Stamped { at, message })));
             }
             let message = match self.messages.next() {
                 Some(Ok(message)) => message,
                 Some(Err(error)) => return Some(Err(error)),
+                None if self.matching.is_complete() => return None,
                 None => {
-                    self.unpaired += self.waiting.iter_mut().map(|waiting| waiting.drain(..).len() as u64).sum::<u64>();
-                    return None;
+                    self.matching.complete();
+                    continue;
                 }
             };
             let Some(side) = self.topics.iter().position(|topic| topic.name == message.channel.topic) else { continue };
-            let at = match stamp(&message) {
-                Ok(at) => at,
+            match stamp(&message) {
+                Ok(at) => self.matching.push(side, at, message),
                 Err(error) => return Some(Err(error)),
-            };
-            self.waiting[side].push_back(Stamped { at, message });
-            if self.waiting[side].len() > WAITING_MAX {
-                self.waiting[side].pop_front();
-                self.unpaired += 1;
             }
-        }
-    }
-
-    /// The first two images that belong together; those before them have no partner.
-    fn matched(&mut self) -> Option<[Stamped; 2]> {
-        let [left, right] = &mut self.waiting;
-        loop {
-            let (first, second) = (left.front()?, right.front()?);
-            let apart = first.at.as_nanos().abs_diff(second.at.as_nanos());
-            if Duration::from_nanos(apart) <= self.within {
-                return Some([left.pop_front()?, right.pop_front()?]);
-            }
-            let earlier = if first.at < second.at { &mut *left } else { &mut *right };
-            earlier.pop_front();
-            self.unpaired += 1;
         }
     }
 

@@ -231,7 +231,7 @@ fn frames_written_by_others_count_as_far_as_they_are_kept() {
         let frame = WrittenFrame {
             left: &left,
             right: &right,
-            exposed_at: MonotonicTime::from_nanos(100 * (1 + u64::from(i))),
+            exposed_at: MonotonicTime::from_nanos(33_000_000 * (1 + u64::from(i))),
             skew_nanos: -250_000,
             cam_left_from_model: None,
         };

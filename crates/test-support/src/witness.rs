@@ -254,8 +254,8 @@ mod tests {
         let second = Witness::start(policy).expect("the same");
         assert!(Arc::ptr_eq(&first.threads, &second.threads));
         assert_eq!(watch.awake.len(), available_parallelism().expect("a number").get() + 1);
-        let planted = Delay { at: second.since + Duration::from_secs(1), late: Duration::from_secs(60) };
-        watch.see(planted.at - planted.late, planted.at);
+        let planted = Delay { at: second.since + Duration::from_secs(60), late: Duration::from_secs(60) };
+        watch.see(second.since, planted.at);
         assert_eq!(second.end().worst, planted.late);
         assert!(threads.strong_count() > 0);
         let seen = first.end();

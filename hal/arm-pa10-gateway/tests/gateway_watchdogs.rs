@@ -168,7 +168,7 @@ fn two_lost_replies_are_tolerated_and_the_third_stops_the_arm() {
         while bench.state() == lost_from {
             bench.tick();
         }
-        let after = bench.now.saturating_since(first) - TICK;
+        let after = bench.now.saturating_since(first).saturating_sub(TICK);
         assert_eq!(after, CYCLE * 3, "{state}");
         assert_eq!((bench.state(), bench.cause()), (GatewayState::Fault, StopCause::ControllerSilent));
         // The order advances by time until the brakes are closed: servos off and E need a controller that has received this.

@@ -65,8 +65,8 @@ impl CommandWatchdog {
         if age >= self.stop_after {
             return Staleness::Expired;
         }
-        let left = (self.stop_after - age).as_secs_f64();
-        Staleness::Ramp(left / (self.stop_after - self.ramp_after).as_secs_f64())
+        let left = self.stop_after.saturating_sub(age).as_secs_f64();
+        Staleness::Ramp(left / self.stop_after.saturating_sub(self.ramp_after).as_secs_f64())
     }
 }
 

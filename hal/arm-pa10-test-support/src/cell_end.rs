@@ -152,9 +152,9 @@ fn pump(bytes: Box<dyn ByteLink>, cell: &Mutex<Cell>, closed: &AtomicBool) -> In
     loop {
         {
             let mut cell = cell.lock().unwrap();
-            let behind = (origin + (begin.elapsed() - lost)).saturating_since(cell.now);
+            let behind = (origin + begin.elapsed().saturating_sub(lost)).saturating_since(cell.now);
             lost += behind.saturating_sub(CATCH_UP_MAX);
-            cell.advance(origin + (begin.elapsed() - lost));
+            cell.advance(origin + begin.elapsed().saturating_sub(lost));
             let now = cell.now;
             if closed.load(Ordering::SeqCst) && bytes.take().is_some() {
                 unplugged = Instant::now();

@@ -117,7 +117,8 @@ pub fn table_line(kind: &str, stops: &[Stop]) -> String {
     let mut times: Vec<f64> = stops.iter().map(|stop| 1e3 * stop.took.as_secs_f64()).collect();
     times.sort_by(f64::total_cmp);
     let part = |part: f64| times[((times.len() - 1) as f64 * part).round() as usize];
-    let spare = stops.iter().map(|stop| 1e3 * (stop.allowed - stop.took).as_secs_f64()).fold(f64::MAX, f64::min);
+    let spare =
+        stops.iter().map(|stop| 1e3 * (stop.allowed.as_secs_f64() - stop.took.as_secs_f64())).fold(f64::MAX, f64::min);
     let [median, nearly_all, slowest] = [part(0.5), part(0.99), part(1.0)];
     format!("| {kind} | {} | {median:.0} | {nearly_all:.0} | {slowest:.0} | {spare:.0} |", stops.len())
 }

@@ -13,8 +13,6 @@ pub(crate) struct BagImages {
     pairs: BagPairs,
     /// Number of the next pair of `pairs`.
     next: u64,
-    /// Pairs before the first one that is played.
-    before: u64,
 }
 
 impl fmt::Debug for BagImages {
@@ -25,12 +23,7 @@ impl fmt::Debug for BagImages {
 
 impl BagImages {
     pub(crate) fn new(bag: StereoBag) -> Self {
-        Self { pairs: bag.pairs(), bag, next: 0, before: 0 }
-    }
-
-    /// The same without the first pairs.
-    pub(crate) fn after(self, before: u64) -> Self {
-        Self { before, ..self }
+        Self { pairs: bag.pairs(), bag, next: 0 }
     }
 
     /// Times of all pairs, and the number of images without a partner.
@@ -43,11 +36,10 @@ impl BagImages {
         Ok((times, pairs.unpaired()))
     }
 
-    /// The images of the pair with this number.
+    /// The images of the pair with this number in the recording.
     pub(crate) fn images(&mut self, number: u64) -> Result<([RgbImage; 2], Vec<String>), BagError> {
-        let number = number + self.before;
         if number < self.next {
-            *self = Self::new(self.bag.clone()).after(self.before);
+            *self = Self::new(self.bag.clone());
         }
         while self.next < number {
             self.pairs.skip_pair()?;

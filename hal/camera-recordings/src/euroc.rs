@@ -6,6 +6,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use pb3dp_bag::matching::Matching;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraError, CameraErrorKind};
 use pb3dp_record::calibration_files::{StereoCalibration, parse_euroc};
@@ -42,22 +43,26 @@ pub(crate) fn calibration(cameras: &[PathBuf; 2]) -> Result<StereoCalibration, C
     })
 }
 
-/// The pairs: left images, each with the first right image within `within`, and the number of images without a partner.
+/// The pairs: images of the cameras that are nearest in time, at most `within` apart, and the number of images without a partner.
 pub(crate) fn pairs(cameras: &[PathBuf; 2], within: Duration) -> Result<TimedPairs, CameraError> {
     let [left, right] = [images(&cameras[0])?, images(&cameras[1])?];
-    let (mut pairs, mut unpaired) = (Vec::new(), 0);
-    let (mut left, mut right) = (left.into_iter().peekable(), right.into_iter().peekable());
-    while let (Some((left_at, _)), Some((right_at, _))) = (left.peek(), right.peek()) {
-        let skew_nanos = right_at.as_nanos() as i64 - left_at.as_nanos() as i64;
-        if Duration::from_nanos(skew_nanos.unsigned_abs()) > within {
-            unpaired += 1;
-            if skew_nanos > 0 { drop(left.next()) } else { drop(right.next()) }
-        } else if let (Some((at, left)), Some((_, right))) = (left.next(), right.next()) {
-            pairs.push((Place::Files(left, right), at, skew_nanos));
+    let (mut matching, mut pairs) = (Matching::new(within), Vec::new());
+    let mut images: Vec<_> =
+        left.into_iter().map(|image| (0, image)).chain(right.into_iter().map(|image| (1, image))).collect();
+    images.sort_by_key(|(_, (at, _))| *at);
+    let mut images = images.into_iter();
+    loop {
+        while let Some([(left_at, left), (right_at, right)]) = matching.next_pair() {
+            let skew_nanos = right_at.as_nanos() as i64 - left_at.as_nanos() as i64;
+            pairs.push((Place::Files(left, right), left_at, skew_nanos));
+        }
+        match images.next() {
+            Some((side, (at, file))) => matching.push(side, at, file),
+            None if matching.is_complete() => break,
+            None => matching.complete(),
         }
     }
-    unpaired += (left.count() + right.count()) as u64;
-    Ok(TimedPairs { pairs, unpaired })
+    Ok(TimedPairs { pairs, unpaired: matching.unpaired() })
 }
 
 /// Times and files of the images of a camera.

@@ -18,7 +18,7 @@ use crate::euroc;
 use crate::folder::{image_pairs, images_with_both};
 use crate::kind::{Kind, folder_of, no_recording, unusable_bag};
 use crate::options::RecordingOptions;
-use crate::source::{Place, Source, TimedPairs};
+use crate::source::{Place, Source, TimedPairs, in_order};
 
 /// Time between the pairs of recordings that state none.
 pub const PERIOD: Duration = Duration::from_nanos(33_333_333);
@@ -114,7 +114,7 @@ impl RecordedPairs {
             let (file, within_ms) = (path.to_path_buf(), asked.pair_within.as_secs_f64() * 1e3);
             return Err(unusable_bag(path, BagError::NoPairs { file, left, right, within_ms }));
         }
-        let pairs = times.into_iter().map(|(at, skew_nanos)| (Place::Bag, at, skew_nanos)).collect();
+        let pairs = (0..).zip(times).map(|(number, (at, skew_nanos))| (Place::Bag(number), at, skew_nanos)).collect();
         let mut found = Self::timed(path, TimedPairs { pairs, unpaired }, asked, period)?;
         found.bag = Some(BagImages::new(bag.clone()));
         found.notes.splice(0..0, notes);
@@ -142,7 +142,34 @@ impl RecordedPairs {
                 "images left out, because the other camera has none within {within_ms} ms (--pair-within): {unpaired}"
             ));
         }
-        Ok(Self { warnings, ..Self::new(path, Source::of_times(pairs, period), asked) })
+        let times: Vec<MonotonicTime> = pairs.iter().map(|(_, at, _)| *at).collect();
+        if times.len() > 1 && times.iter().all(|at| *at == times[0]) {
+            warnings.push(format!(
+                "all pairs have the same time, {:.6} s: one pair in {:.1} ms is assumed",
+                times[0].as_secs_f64(),
+                period.as_secs_f64() * 1e3
+            ));
+            let places = pairs.into_iter().map(|(place, ..)| place).collect();
+            return Ok(Self {
+                warnings,
+                has_times: false,
+                ..Self::new(path, Source::of_images(places, period), asked)
+            });
+        }
+        let kept = in_order(&times);
+        let is_kept = |number: &usize| kept.binary_search(number).is_ok();
+        if let Some(wrong) = (0..times.len()).find(|number| !is_kept(number)) {
+            let beside = if wrong > 0 { wrong - 1 } else { 1 };
+            warnings.push(format!(
+                "pairs left out, because their times go back, repeat or jump: {} (the first is pair {wrong} of the recording: {:.6} s {} {:.6} s)",
+                times.len() - kept.len(),
+                times[wrong].as_secs_f64(),
+                if wrong > 0 { "after" } else { "before" },
+                times[beside].as_secs_f64()
+            ));
+        }
+        let pairs = pairs.into_iter().enumerate().filter(|(number, _)| is_kept(number)).map(|(_, pair)| pair);
+        Ok(Self { warnings, ..Self::new(path, Source::of_times(pairs.collect(), period), asked) })
     }
 
     /// The same without the pairs before a time; none is left out if all are before it.
@@ -153,7 +180,7 @@ impl RecordedPairs {
         if left_out > 0 {
             notes.push(format!("the first {left_out} pairs are left out: the target was marked after them"));
         }
-        Self { source, bag: self.bag.map(|bag| bag.after(left_out)), notes, ..self }
+        Self { source, notes, ..self }
     }
 
     /// Name for messages.
@@ -205,7 +232,7 @@ impl RecordedPairs {
     pub fn files(&self) -> Option<Vec<[PathBuf; 2]>> {
         let file = |number| match &self.source.pair(number).place {
             Place::Files(left, right) => Some([left.clone(), right.clone()]),
-            Place::Both(..) | Place::Bag => None,
+            Place::Both(..) | Place::Bag(_) => None,
         };
         let files: Vec<_> = (0..self.count()).map(file).collect::<Option<_>>()?;
         // Damaged ones are reported where they are used.
@@ -239,11 +266,11 @@ impl RecordedPairs {
                 let (images, note) = StoredImage::to_rgb_pair(both.map_err(bad_pair)?, &mut self.range);
                 (images, Vec::from_iter(note))
             }
-            Place::Bag => {
+            Place::Bag(in_recording) => {
                 let bag = self.bag.as_mut().ok_or_else(|| {
                     CameraError::new(CameraErrorKind::Unusable, "replay: bug: a recording without its file, report it")
                 })?;
-                bag.images(number).map_err(|error| {
+                bag.images(*in_recording).map_err(|error| {
                     let message = format!("{name}: pair {number} is skipped");
                     CameraError::caused_by(CameraErrorKind::BadPair, message, error)
                 })?

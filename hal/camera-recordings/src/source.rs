@@ -14,8 +14,8 @@ pub(crate) enum Place {
     Files(PathBuf, PathBuf),
     /// One file with both.
     Both(PathBuf, ImageLayout),
-    /// The next pair of an MCAP recording.
-    Bag,
+    /// The pair with this number in an MCAP recording.
+    Bag(u64),
 }
 
 /// Pairs of a recording with times.
@@ -93,7 +93,7 @@ impl Source {
     }
 
     fn timed(pairs: Vec<RecordedPair>, first_at: MonotonicTime, period: Duration) -> Self {
-        let steps: Vec<_> = pairs.windows(2).map(|w| w[1].since_first - w[0].since_first).collect();
+        let steps: Vec<_> = pairs.windows(2).map(|w| w[1].since_first.saturating_sub(w[0].since_first)).collect();
         let typical = typical_step(&steps);
         let last = pairs.last().map_or(Duration::ZERO, |pair| pair.since_first);
         let round = last + typical.unwrap_or(period);
@@ -131,6 +131,24 @@ impl Source {
         let rounds = u32::try_from(position / self.pairs()).unwrap_or(u32::MAX);
         self.round.saturating_mul(rounds).saturating_add(self.pair(position).since_first)
     }
+}
+
+/// Numbers of the most pairs whose times increase: the others have a time that went back, repeats or jumped.
+pub(crate) fn in_order(times: &[MonotonicTime]) -> Vec<usize> {
+    // Of each number of pairs the last pair with the earliest time, and of each pair the one before it.
+    let mut last: Vec<usize> = Vec::new();
+    let mut before: Vec<Option<usize>> = Vec::with_capacity(times.len());
+    for (number, at) in times.iter().enumerate() {
+        let length = last.partition_point(|&other| times[other] < *at);
+        before.push(length.checked_sub(1).map(|shorter| last[shorter]));
+        match last.get_mut(length) {
+            Some(other) => *other = number,
+            None => last.push(number),
+        }
+    }
+    let mut kept: Vec<_> = std::iter::successors(last.last().copied(), |&number| before[number]).collect();
+    kept.reverse();
+    kept
 }
 
 /// The median step, so that gaps of lost frames are ignored.

@@ -34,7 +34,7 @@ impl Plan {
     /// Progress of a fault through its duration, 0 to 1.
     pub(crate) fn progress(&self, fault: &CameraFault, exposed_at: MonotonicTime) -> f64 {
         let age = exposed_at.saturating_since(self.began).saturating_sub(fault.from);
-        age.as_secs_f64() / (fault.until - fault.from).as_secs_f64()
+        age.as_secs_f64() / fault.until.saturating_sub(fault.from).as_secs_f64()
     }
 
     /// Whether a fault that affects a share of the pairs affects this one.

@@ -351,7 +351,7 @@ fn limits(sides: &[SideControls], devices: &[&str], config: &SharedExposure) -> 
     };
     let [time_min, time_max] = config.time;
     // Rounded inwards: the longest exposure is a limit of the motion blur.
-    let units = [to_units(time_min + EXPOSURE_UNIT - Duration::from_nanos(1)), to_units(time_max)];
+    let units = [to_units(time_min + EXPOSURE_UNIT.saturating_sub(Duration::from_nanos(1))), to_units(time_max)];
     let times = sides.iter().map(|side| &side.time).collect();
     let time = of(units, times, ("exposure time (in 0.1 ms)", "exposure_millis"))?;
     let gain = match config.gain {

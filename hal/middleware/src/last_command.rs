@@ -109,7 +109,7 @@ impl LastCommand {
             return (set_point, since);
         }
         // No command for so long that the arm has stopped by itself.
-        (self.ramp(&set_point.velocity, since - self.command_timeout, measured), first)
+        (self.ramp(&set_point.velocity, since.saturating_sub(self.command_timeout), measured), first)
     }
 
     /// State of the arm's own ramp after this time. Some arms stop each joint separately, some all at the same time: between these

@@ -376,7 +376,7 @@ fn a_late_command_costs_no_more_speed_than_the_watchdog_takes() {
     const STEP: Duration = Duration::from_millis(2);
     let driver = DriverConfig::with_cycle(BUS_CYCLE);
     let (most, watchdog) = (driver.deceleration_rad_per_s2[0], driver.watchdog);
-    let fade_s = (watchdog.stop_after() - watchdog.ramp_after()).as_secs_f64();
+    let fade_s = watchdog.stop_after().saturating_sub(watchdog.ramp_after()).as_secs_f64();
     let (window_s, cycle_s) = (WINDOW.as_secs_f64(), HOST_CYCLE.as_secs_f64());
     for speed in [0.1, 0.2, 0.3, 0.6] {
         let mut arm = Chained::new(JointVector::zeros(), 1.0);

@@ -1,12 +1,17 @@
 //! `pb3dp track` on a small sequence that the test records.
 
+use std::ffi::OsStr;
 use std::path::Path;
 
+use pb3dp_bag::cdr::Bytes;
+use pb3dp_bag::messages::{Header, Image};
+use pb3dp_bag::topics::ours;
+use pb3dp_bag::writer::{BagWriter, WhenFull};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Target};
 use pb3dp_record::dataset::{SearchRange, SequenceDraft, SequenceWriter, WrittenFrame};
-use pb3dp_record::images::StoredFormat;
+use pb3dp_record::images::{StoredFormat, load_rgb};
 use pb3dp_sim::targets::TargetConfig;
 
 use crate::cli::support::*;
@@ -373,5 +378,58 @@ fn a_bright_board_is_followed_as_a_whole() {
             let tolerance = if index % 4 == 3 { 0.3 } else { 0.005 };
             assert!((tracked - estimated).abs() < tolerance, "{name}, {index}: {tracked}, not {estimated}");
         }
+    }
+}
+
+/// Writes the images of a sequence into a recording of ROS 2 in this order, with stamps of the frames in `stamps`.
+fn as_bag(sequence: &Path, file: &Path, stamps: &[usize]) {
+    let mut writer = BagWriter::create(file, WhenFull::Wait).unwrap();
+    for (number, &frame) in stamps.iter().enumerate() {
+        let written_at = MonotonicTime::from_nanos(1_000_000 * number as u64);
+        let stamp = MonotonicTime::from_nanos(2_000_000_000 + 33_000_000 * frame as u64);
+        for (topic, side) in [(ours::LEFT_IMAGE, "left"), (ours::RIGHT_IMAGE, "right")] {
+            let image = load_rgb(&sequence.join(format!("{side}_{number:04}.png"))).unwrap();
+            let (width, height) = image.dimensions();
+            let header = Header { stamp: stamp.into(), frame_id: side.to_owned() };
+            let (encoding, data) = ("rgb8".to_owned(), Bytes(image.into_raw()));
+            let message = Image { header, height, width, encoding, is_bigendian: 0, step: 3 * width, data };
+            writer.push(topic, written_at, &message);
+        }
+    }
+    writer.finish().unwrap();
+}
+
+/// Stamps that go back were the end of the program.
+#[test]
+fn pairs_whose_times_go_back_repeat_or_jump_are_left_out_and_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let sequence = dir.path().join("sequence");
+    record(&sequence);
+    let left_out = "pairs left out, because their times go back, repeat or jump: 1";
+    for (name, stamps, tracked, warning) in [
+        ("exchanged", [0, 1, 3, 2, 4, 5, 6], 6, left_out),
+        ("repeated", [0, 1, 2, 2, 4, 5, 6], 6, left_out),
+        ("jumped", [0, 1, 900, 3, 4, 5, 6], 6, left_out),
+        (
+            "first",
+            [900, 1, 2, 3, 4, 5, 6],
+            6,
+            "1 (the first is pair 0 of the recording: 31.700000 s before 2.033000 s)",
+        ),
+        ("equal", [0; FRAMES], FRAMES, "all pairs have the same time, 2.000000 s"),
+    ] {
+        let bag = dir.path().join(format!("{name}.mcap"));
+        as_bag(&sequence, &bag, &stamps);
+        let calib = sequence.join("calib.json");
+        let region = "rect:140,110,60,60";
+        let args: [&dyn AsRef<OsStr>; 8] =
+            [&"track", &"--sequence", &bag, &"--calib", &calib, &"--region", &region, &"--json"];
+        let finished = pb3dp(&words(&args)).assert_success();
+        assert_eq!(finished.json_lines(&TRACK_KEYS).len(), tracked, "{name}: {}", finished.stdout);
+        assert!(finished.stderr.contains(warning), "{name}: {}", finished.stderr);
+        // Each pair can be chosen, too.
+        let args: [&dyn AsRef<OsStr>; 9] =
+            [&"estimate", &"--sequence", &bag, &"--frame", &"3", &"--calib", &calib, &"--region", &region];
+        pb3dp(&words(&args)).assert_success();
     }
 }

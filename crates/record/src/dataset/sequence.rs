@@ -103,13 +103,14 @@ pub fn load_sequence(folder: &Path) -> Result<Sequence, DatasetError> {
     let file = if is_unfinished { unfinished::read(folder) } else { JsonFile::read(&folder.join(SEQUENCE_FILE)) }?;
     let root = file.root();
     let frames = root.get("frames")?.count()?;
-    let skew_s = root.optional("skew_s").map(|node| per_frame_numbers(&node, frames)).transpose()?.unwrap_or_default();
+    let times_s = increasing_times(&root.get("times_s")?, frames)?;
+    let skew_s = root.optional("skew_s").map(|node| skews(&node, &times_s)).transpose()?.unwrap_or_default();
     let truth = root.optional("truth").map(|node| true_poses(&node.get("cam_left_from_model")?, frames)).transpose()?;
     Ok(Sequence {
         folder: folder.to_owned(),
         left: pattern(&root.get("left")?)?,
         right: pattern(&root.get("right")?)?,
-        times_s: increasing_times(&root.get("times_s")?, frames)?,
+        times_s,
         skew_s,
         calibration: root.get("calib")?.path()?,
         region_polygon_left_px: polygon(&root.get("region_polygon_left_px")?)?,
@@ -148,6 +149,21 @@ fn increasing_times(node: &Node<'_>, frames: u64) -> Result<Vec<f64>, DatasetErr
         }
     }
     Ok(times_s)
+}
+
+/// Exposures of a pair are less than a frame apart: more is another unit.
+fn skews(node: &Node<'_>, times_s: &[f64]) -> Result<Vec<f64>, DatasetError> {
+    let skew_s = per_frame_numbers(node, times_s.len() as u64)?;
+    let mut steps_s: Vec<f64> = times_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    steps_s.sort_by(f64::total_cmp);
+    let Some(&period_s) = steps_s.get(steps_s.len() / 2) else { return Ok(skew_s) };
+    let wrong = node.items()?.into_iter().zip(&skew_s).find(|(_, skew_s)| skew_s.abs() >= period_s);
+    match wrong {
+        Some((place, _)) => {
+            Err(place.refuse(format!("must be in seconds, and less than the time between frames, {period_s} s")))
+        }
+        None => Ok(skew_s),
+    }
 }
 
 fn true_poses(node: &Node<'_>, frames: u64) -> Result<Vec<Pose<CamLeft, Model>>, DatasetError> {
@@ -266,6 +282,7 @@ mod tests {
         check(&|v| v["times_s"] = json!([1.0]), &["`times_s`", "has 1 entries", "`frames` is 2"]);
         check(&|v| v["times_s"] = json!([1.0, 1.0]), &["`times_s[1]`", "later"]);
         check(&|v| v["skew_s"] = json!([0.001]), &["`skew_s`", "has 1 entries"]);
+        check(&|v| v["skew_s"] = json!([0.0, -5.0]), &["`skew_s[1]`", "-5", "in seconds"]);
         check(&|v| v["truth"]["cam_left_from_model"][1][0] = json!(1.1), &["cam_left_from_model[1]", "rotation"]);
         check(&|v| v["truth"]["cam_left_from_model"][1][15] = json!(2), &["last row"]);
         check(&|v| v["truth"]["cam_left_from_model"][0] = json!([1, 2]), &["16 numbers, not 2"]);
