@@ -23,6 +23,9 @@ const BUILT_ALONE: [&str; 9] = [
     "system-tests",
 ];
 
+/// What runs in our programs; then also macros and build scripts, whose crates have features of their own.
+const EDGES: [&str; 2] = ["normal,dev,no-proc-macro", "normal,dev,build"];
+
 /// The sets of features with which a crate is built, by `name vVERSION`.
 type Features = BTreeMap<String, BTreeSet<BTreeSet<String>>>;
 
@@ -31,17 +34,19 @@ type Features = BTreeMap<String, BTreeSet<BTreeSet<String>>>;
 /// # Errors
 /// If `cargo tree` cannot be run or read.
 pub fn check(workspace: &Workspace) -> anyhow::Result<Vec<Violation>> {
-    let all = features(&tree(workspace, &["--workspace"])?)?;
     let mut violations = Vec::new();
-    for package in BUILT_ALONE {
-        violations.extend(compare(package, &features(&tree(workspace, &["-p", package])?)?, &all));
+    for edges in EDGES {
+        let all = features(&tree(workspace, edges, &["--workspace"])?)?;
+        for package in BUILT_ALONE {
+            violations.extend(compare(package, &features(&tree(workspace, edges, &["-p", package])?)?, &all));
+        }
     }
     Ok(violations)
 }
 
-fn tree(workspace: &Workspace, of: &[&str]) -> anyhow::Result<String> {
-    let all_edges = ["tree", "--locked", "--edges", "normal,build,dev", "--prefix", "none", "--format", "{p}|{f}"];
-    let output = workspace.cargo().args(all_edges).args(of).output().context("cannot run `cargo tree`")?;
+fn tree(workspace: &Workspace, edges: &str, of: &[&str]) -> anyhow::Result<String> {
+    let format = ["tree", "--locked", "--prefix", "none", "--format", "{p}|{f}", "--edges", edges];
+    let output = workspace.cargo().args(format).args(of).output().context("cannot run `cargo tree`")?;
     if !output.status.success() {
         bail!("`cargo tree {}` failed:\n{}", of.join(" "), String::from_utf8_lossy(&output.stderr).trim_end());
     }
