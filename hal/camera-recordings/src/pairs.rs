@@ -78,7 +78,10 @@ impl RecordedPairs {
             }
             Kind::Case(case) => Source::of_images(vec![Place::Files(case.left.clone(), case.right.clone())], period),
             Kind::Bag(bag) => return Self::of_bag(path, bag, asked, period),
-            Kind::Euroc(cameras) => return Self::timed(path, euroc::pairs(cameras, asked.pair_within)?, asked, period),
+            Kind::Euroc(cameras) => {
+                let pairs = euroc::pairs(cameras, asked.pair_within)?;
+                return Self::timed(path, &cameras[0].display().to_string(), pairs, asked, period);
+            }
             Kind::Images => {
                 let places = match asked.layout {
                     Some(layout) => images_with_both(path)?.into_iter().map(|file| Place::Both(file, layout)).collect(),
@@ -115,15 +118,17 @@ impl RecordedPairs {
             return Err(unusable_bag(path, BagError::NoPairs { file, left, right, within_ms }));
         }
         let pairs = (0..).zip(times).map(|(number, (at, skew_nanos))| (Place::Bag(number), at, skew_nanos)).collect();
-        let mut found = Self::timed(path, TimedPairs { pairs, unpaired }, asked, period)?;
+        let mut found = Self::timed(path, &bag.topics()[0].name, TimedPairs { pairs, unpaired }, asked, period)?;
         found.bag = Some(BagImages::new(bag.clone()));
         found.notes.splice(0..0, notes);
         found.warnings.splice(0..0, warnings);
         Ok(found)
     }
 
+    /// `left`: whose times they are.
     fn timed(
         path: &Path,
+        left: &str,
         TimedPairs { pairs, unpaired }: TimedPairs,
         asked: &RecordingOptions,
         period: Duration,
@@ -145,7 +150,7 @@ impl RecordedPairs {
         let times: Vec<MonotonicTime> = pairs.iter().map(|(_, at, _)| *at).collect();
         if times.len() > 1 && times.iter().all(|at| *at == times[0]) {
             warnings.push(format!(
-                "all pairs have the same time, {:.6} s: one pair in {:.1} ms is assumed",
+                "all pairs have the same time, {:.6} s in {left}: a pair every {:.1} ms is assumed",
                 times[0].as_secs_f64(),
                 period.as_secs_f64() * 1e3
             ));
@@ -161,7 +166,7 @@ impl RecordedPairs {
         if let Some(wrong) = (0..times.len()).find(|number| !is_kept(number)) {
             let beside = if wrong > 0 { wrong - 1 } else { 1 };
             warnings.push(format!(
-                "pairs left out, because their times go back, repeat or jump: {} (the first is pair {wrong} of the recording: {:.6} s {} {:.6} s)",
+                "pairs left out, because their times go back, repeat or jump: {} (the first is pair {wrong} of the recording: {:.6} s {} {:.6} s in {left})",
                 times.len() - kept.len(),
                 times[wrong].as_secs_f64(),
                 if wrong > 0 { "after" } else { "before" },

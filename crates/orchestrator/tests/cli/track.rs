@@ -405,17 +405,14 @@ fn pairs_whose_times_go_back_repeat_or_jump_are_left_out_and_named() {
     let dir = tempfile::tempdir().unwrap();
     let sequence = dir.path().join("sequence");
     record(&sequence);
+    let first =
+        format!("1 (the first is pair 0 of the recording: 31.700000 s before 2.033000 s in {})", ours::LEFT_IMAGE);
     let left_out = "pairs left out, because their times go back, repeat or jump: 1";
     for (name, stamps, tracked, warning) in [
         ("exchanged", [0, 1, 3, 2, 4, 5, 6], 6, left_out),
         ("repeated", [0, 1, 2, 2, 4, 5, 6], 6, left_out),
         ("jumped", [0, 1, 900, 3, 4, 5, 6], 6, left_out),
-        (
-            "first",
-            [900, 1, 2, 3, 4, 5, 6],
-            6,
-            "1 (the first is pair 0 of the recording: 31.700000 s before 2.033000 s)",
-        ),
+        ("first", [900, 1, 2, 3, 4, 5, 6], 6, &first),
         ("equal", [0; FRAMES], FRAMES, "all pairs have the same time, 2.000000 s"),
     ] {
         let bag = dir.path().join(format!("{name}.mcap"));
