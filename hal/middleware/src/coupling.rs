@@ -138,7 +138,7 @@ impl Side {
             name: info.name.clone(),
             cycle: info.cycle,
             drives,
-            last: LastCommand::new(drives.acceleration, config.command_timeout, config.fade),
+            last: LastCommand::new(drives, config.command_timeout, config.fade),
             config,
             newest: None,
             sweep: None,

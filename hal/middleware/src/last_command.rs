@@ -7,6 +7,7 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::{DOF, JointState, JointVector};
 
 use crate::shaping::SetPoint;
+use crate::stopping::DriveLimits;
 
 /// Capacity for set-points; with more within the reaction time, the oldest two are merged.
 const REMEMBERED_MAX: usize = 128;
@@ -32,7 +33,7 @@ impl CommandFade {
 
 /// The last command, and the set-points that the measured angles may not show yet.
 pub(crate) struct LastCommand {
-    acceleration_max_rad_per_s2: JointVector,
+    drives: DriveLimits,
     command_timeout: Duration,
     fade: Option<CommandFade>,
     kind: Kind,
@@ -60,13 +61,9 @@ struct InForce {
 
 impl LastCommand {
     /// Starts without a command, for drives with these ramps that stop after this time-out, and fade before it if they do.
-    pub(crate) fn new(
-        acceleration_max_rad_per_s2: JointVector,
-        command_timeout: Duration,
-        fade: Option<CommandFade>,
-    ) -> Self {
+    pub(crate) fn new(drives: DriveLimits, command_timeout: Duration, fade: Option<CommandFade>) -> Self {
         Self {
-            acceleration_max_rad_per_s2,
+            drives,
             command_timeout,
             fade,
             kind: Kind::Rest,
@@ -116,7 +113,7 @@ impl LastCommand {
     /// two the measured speed is used; without a measurement, the slower ramp.
     fn ramp(&self, from_rad_per_s: &JointVector, elapsed: Duration, measured: Option<&JointState>) -> SetPoint {
         let elapsed_s = elapsed.as_secs_f64();
-        let most = &self.acceleration_max_rad_per_s2;
+        let most = &self.drives.acceleration;
         let duration_s = from_rad_per_s.abs().component_div(most).max();
         if elapsed_s >= duration_s {
             return SetPoint::rest();
@@ -129,9 +126,9 @@ impl LastCommand {
             let measured = measured.map_or(f64::INFINITY, |sample| sample.velocity_rad_per_s[joint] * from.signum());
             let speed = measured.clamp(quickest, slowest);
             ramp.velocity[joint] = speed.copysign(from);
-            if speed > 0.0 {
-                ramp.acceleration[joint] = -from / duration_s;
-            }
+            // The ramp ends at rest: only a deceleration that can fade out by then continues, or the joint would turn around.
+            let fading = (2.0 * self.drives.jerk[joint] * speed).sqrt();
+            ramp.acceleration[joint] = -(from.abs() / duration_s).min(fading).copysign(from);
         }
         ramp
     }

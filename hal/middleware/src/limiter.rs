@@ -137,7 +137,7 @@ impl<A: Arm> Limiter<A> {
     ) -> Result<Self, LimiterError> {
         check(&config)?;
         let drives = DriveLimits::braking(&limits);
-        let last = LastCommand::new(drives.acceleration, config.command_timeout, config.fade);
+        let last = LastCommand::new(drives, config.command_timeout, config.fade);
         Ok(Self {
             arm,
             clock,

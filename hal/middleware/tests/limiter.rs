@@ -336,6 +336,29 @@ fn after_an_error_of_the_arm_the_start_is_from_rest() {
     limiter.exchange(velocity(0, 0.5)).unwrap();
 }
 
+/// The arm's own ramp ends at rest: its deceleration is not continued beyond, against the direction that is asked for.
+#[test]
+fn after_a_lost_reply_no_joint_turns_around() {
+    let (mut limiter, clock, told) = noted();
+    for cycle in 0..20 {
+        if cycle == 6 {
+            limiter.arm().arm.faults().drop_replies(1);
+        }
+        clock.sleep_until(clock.now() + CYCLE);
+        assert_eq!(limiter.exchange(velocity(1, 0.1)).is_err(), cycle == 6);
+    }
+    let told: Vec<f64> = told
+        .lock()
+        .unwrap()
+        .iter()
+        .map(|command| match command {
+            JointCommand::Velocity(velocity) => velocity[1],
+            JointCommand::Hold => 0.0,
+        })
+        .collect();
+    assert!(told.iter().all(|&speed| speed >= 0.0) && told[5] > 0.05, "{told:?}");
+}
+
 #[test]
 fn power_is_the_arms_own() {
     let (mut limiter, _) = scripted(|arm| {
