@@ -86,7 +86,7 @@ def test_a_control_is_set_with_mouse_and_keys_and_read_back(panel, page):
     page.page.keyboard.press("ArrowRight")
     wait_for(lambda: text(EXPOSURE) == "41 (4.10 ms)")
     assert cameras.sent == [("left", EXPOSURE, 41)]
-    assert page.text("#setup-lines-left") == "[camera.left]\nexposure_millis = 4.1\ngain = 64"
+    wait_for(lambda: page.text("#setup-lines-left") == "[camera.left]\nexposure_millis = 4.1\ngain = 64")
     assert page.text("#setup-lines-right") == "[camera.right]\nexposure_millis = 4.0\ngain = 64"
     box = gain.bounding_box()
     gain.click(position={"x": box["width"] * 0.8, "y": box["height"] / 2})

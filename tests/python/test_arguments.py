@@ -183,3 +183,31 @@ def test_a_chessboard_alone_is_no_doubt_of_the_calibration(case):
     board = np.where((u // 14 + v // 14) % 2 == 0, 40, 200).astype(np.uint8)
     estimate = pb3dp.Estimator(recording.rig).estimate(board, np.roll(board, -20, axis=1), RECTANGLE)
     assert not any("calibration" in warning for warning in estimate.warnings), estimate.warnings
+
+
+def test_calibrations_that_leave_values_unstated(tmp_path):
+    camera, lens = "[[700, 0, 321], [0, 700, 238], [0, 0, 1]]", "[-0.012, 0.041, -0.038, 0.008]"
+    file = tmp_path / "stereo.yml"
+    file.write_text(
+        f"%YAML:1.0\n---\nK1: {camera}\nK2: {camera}\nD1: {lens}\nD2: {lens}\n"
+        "R: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\nT: [-64.3, 0, 0]\n"
+    )
+
+    def load(**stated):
+        return pb3dp.StereoRig.load(file, **stated)
+
+    refused(lambda: load(), "image_width", "calibrated_size")
+    size = {"image_size": (640, 480)}
+    refused(lambda: load(**size), "four coefficients", 'lens="equidistant"')
+    other = tmp_path / "centimetres.yml"
+    other.write_text(file.read_text().replace("-64.3", "-12.86"))
+    refused(lambda: pb3dp.StereoRig.load(other, **size), "12.9 mm", "128.6 mm", 'calibration_unit="mm"')
+    refused(lambda: load(**size, calibration_unit="inch"), "calibration_unit", "inch", "use mm, cm or m")
+    refused(lambda: load(**size, calibration_unit="mm"), 'lens="brown" or lens="equidistant"')
+    refused(lambda: load(image_size=(320, 240), calibration_unit="mm", lens="brown"), "calibrated_size 640x480")
+    rig = load(image_size=(320, 240), calibrated_size=(640, 480), calibration_unit="mm", lens="equidistant")
+    assert rig.image_size == (320, 240) and rig.left_distortion[0] == "equidistant"
+    assert np.allclose(rig.left_matrix, [[350, 0, 160.25], [0, 350, 118.75], [0, 0, 1]])
+    assert abs(rig.baseline_m - 0.0643) < 1e-12
+    rectified = load(**size, calibration_unit="mm", lens="brown", rectified=True)
+    assert rectified.left_distortion[0] == "none"

@@ -13,7 +13,7 @@ from mcap_ros2.decoder import DecoderFactory
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-LATCHED = ("/pb3dp/setup", "/pb3dp/version", "/pb3dp/calibration", "/tf_static")
+LATCHED = ("/pb3dp/setup", "/pb3dp/version", "/pb3dp/schema_version", "/pb3dp/calibration", "/tf_static")
 
 
 class Viewer:

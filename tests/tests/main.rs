@@ -8,6 +8,7 @@ mod control_no_allocation;
 mod disturbed;
 mod effective_limits;
 mod late_images;
+mod mutated_inputs;
 mod rates;
 mod real_pairs;
 mod real_time;

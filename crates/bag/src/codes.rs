@@ -20,5 +20,6 @@ codes! {
         NoPairs = "PB3DP-BAG-012": "No left image has a right one of nearly the same time."; "State a longer time with --pair-within, or check the clocks of the cameras.";
         Keeping = "PB3DP-BAG-013": "The newest seconds are to be kept twice at a time."; "Wait until the first file is whole.";
         Serve = "PB3DP-BAG-014": "Viewers cannot be served at the address."; "Give another address or port with --live, or end the program that uses it.";
+        Refused = "PB3DP-BAG-015": "The path is a named pipe, a socket or a device."; "Copy the content into a file, and name this file.";
     }
 }

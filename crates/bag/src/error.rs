@@ -5,8 +5,10 @@ use std::path::PathBuf;
 
 use pb3dp_record::calibration_files::CalibrationFileError;
 use pb3dp_record::images::ImageFileError;
+use pb3dp_record::regular_file::RefusedFile;
 
 use crate::cdr::CdrError;
+use crate::matching::LeftOut;
 
 /// Why a recording cannot be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -22,6 +24,14 @@ pub enum BagError {
         /// The error of the system.
         #[source]
         source: std::io::Error,
+    },
+    /// A path that is no regular file.
+    #[error("{}: {refused}", file.display())]
+    Refused {
+        /// The path.
+        file: PathBuf,
+        /// What it is.
+        refused: RefusedFile,
     },
     /// No MCAP file.
     #[error("{}: is no MCAP file; name a file.mcap, or the folder of a rosbag2 recording with such files", file.display())]
@@ -121,7 +131,7 @@ pub enum BagError {
         why: String,
     },
     /// The calibration in the recording is refused.
-    #[error("{}: the calibration in it is refused; exchange the two topics, or give another one with --calib", file.display())]
+    #[error("{}: the calibration in it is refused; give another one with --calib, or exchange the two topics if left and right are exchanged", file.display())]
     Calibration {
         /// The file.
         file: PathBuf,
@@ -131,8 +141,8 @@ pub enum BagError {
     },
     /// No pair of images with the same time.
     #[error(
-        "{}: no image of {left} has one of {right} within {within_ms} ms; state a longer time with --pair-within, or check the clocks of the cameras",
-        file.display()
+        "{}: no image of {left} has one of {right} within {within_ms} ms; state a longer time with --pair-within, or check the clocks of the cameras{}",
+        file.display(), left_out.early_end().map(|early| format!("; images left out: {}; {early}", left_out.images)).unwrap_or_default()
     )]
     NoPairs {
         /// The file.
@@ -143,5 +153,7 @@ pub enum BagError {
         right: String,
         /// Longest time between the images of a pair, milliseconds.
         within_ms: f64,
+        /// The images.
+        left_out: LeftOut,
     },
 }

@@ -18,6 +18,7 @@
 
 mod backlog;
 pub mod cdr;
+mod chunk_limit;
 mod codes;
 pub mod encoded;
 mod error;

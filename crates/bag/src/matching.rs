@@ -4,32 +4,119 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use pb3dp_geometry::MonotonicTime;
+use pb3dp_record::images::PIXELS_MAX;
 
-/// Images of one side that wait for the other side. A recording in which one camera has stopped takes no more memory.
+/// Images of one camera that wait for the other one, at most.
 const WAITING_MAX: usize = 64;
+/// Bytes of all waiting images, at most. Derived: to find the nearest image takes three, of [`PIXELS_MAX`] pixels in 8-bit colour.
+const WAITING_BYTES_MAX: usize = 9 * PIXELS_MAX as usize;
+
+/// Images of two cameras in the order in which they came. A recording in which one camera has stopped takes no more memory.
+#[derive(Debug)]
+pub struct Waiting<T> {
+    images: [VecDeque<WaitingImage<T>>; 2],
+    bytes: [usize; 2],
+}
+
+#[derive(Debug)]
+struct WaitingImage<T> {
+    at: MonotonicTime,
+    bytes: usize,
+    image: T,
+}
+
+/// Images without a partner.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LeftOut {
+    /// All of them.
+    pub images: u64,
+    /// Those of them that no longer waited for a partner, because too many images, or too large ones, waited.
+    pub no_longer_waiting: u64,
+}
+
+impl LeftOut {
+    /// A line for the user; none if no image was left out. `within_ms`: longest time between the images of a pair, milliseconds.
+    pub fn warning(&self, within_ms: f64) -> Option<String> {
+        let why = format!("because the other camera has none within {within_ms} ms (--pair-within)");
+        let early = self.early_end().map(|early| format!(" ({early})")).unwrap_or_default();
+        (self.images > 0).then(|| format!("images left out, {why}: {}{early}", self.images))
+    }
+
+    /// That the search for partners ended early for some images; none if it did for no image.
+    pub fn early_end(&self) -> Option<String> {
+        let limit = WAITING_BYTES_MAX / 1_000_000;
+        (self.no_longer_waiting > 0).then(|| {
+            format!(
+                "for {} of them, the search ended early: at most {WAITING_MAX} images of a camera, and {limit} MB in all, wait for the other camera; record the images of both cameras in turn",
+                self.no_longer_waiting
+            )
+        })
+    }
+}
+
+impl<T> Default for Waiting<T> {
+    fn default() -> Self {
+        Self { images: [VecDeque::new(), VecDeque::new()], bytes: [0; 2] }
+    }
+}
+
+impl<T> Waiting<T> {
+    /// The next image of the left (0) or the right (1) camera, with its size in memory. Gives the number of older images that have to go
+    /// for it; the newest one of each camera stays.
+    pub fn push(&mut self, side: usize, at: MonotonicTime, (image, bytes): (T, usize)) -> u64 {
+        self.images[side].push_back(WaitingImage { at, bytes, image });
+        self.bytes[side] += bytes;
+        let mut dropped = 0;
+        while let Some(side) = self.overfull() {
+            self.pop(side);
+            dropped += 1;
+        }
+        dropped
+    }
+
+    /// The camera whose oldest image has to go.
+    fn overfull(&self) -> Option<usize> {
+        let is_over = self.bytes[0] + self.bytes[1] > WAITING_BYTES_MAX;
+        let larger = usize::from(self.bytes[1] > self.bytes[0]);
+        let several = |side: &usize| self.images[*side].len() > 1;
+        (0..2)
+            .find(|side| self.images[*side].len() > WAITING_MAX)
+            .or_else(|| [larger, 1 - larger].into_iter().filter(|_| is_over).find(several))
+    }
+
+    /// Takes the oldest image of a camera.
+    pub fn pop(&mut self, side: usize) -> Option<(MonotonicTime, T)> {
+        let WaitingImage { at, bytes, image } = self.images[side].pop_front()?;
+        self.bytes[side] -= bytes;
+        Some((at, image))
+    }
+
+    /// Times of the images of a camera, oldest first.
+    pub fn times(&self, side: usize) -> impl Iterator<Item = MonotonicTime> {
+        self.images[side].iter().map(|image| image.at)
+    }
+}
 
 /// Finds the pairs of two streams of images.
 #[derive(Debug)]
 pub struct Matching<T> {
     within: Duration,
-    waiting: [VecDeque<(MonotonicTime, T)>; 2],
-    unpaired: u64,
+    waiting: Waiting<T>,
+    left_out: LeftOut,
     is_complete: bool,
 }
 
 impl<T> Matching<T> {
     /// Pairs whose images are at most `within` apart.
     pub fn new(within: Duration) -> Self {
-        Self { within, waiting: [VecDeque::new(), VecDeque::new()], unpaired: 0, is_complete: false }
+        Self { within, waiting: Waiting::default(), left_out: LeftOut::default(), is_complete: false }
     }
 
-    /// The next image of the left (0) or the right (1) camera.
-    pub fn push(&mut self, side: usize, at: MonotonicTime, image: T) {
-        self.waiting[side].push_back((at, image));
-        if self.waiting[side].len() > WAITING_MAX {
-            self.waiting[side].pop_front();
-            self.unpaired += 1;
-        }
+    /// The next image of the left (0) or the right (1) camera, with its size in memory.
+    pub fn push(&mut self, side: usize, at: MonotonicTime, image: (T, usize)) {
+        let dropped = self.waiting.push(side, at, image);
+        self.left_out.images += dropped;
+        self.left_out.no_longer_waiting += dropped;
     }
 
     /// No more images come.
@@ -42,33 +129,34 @@ impl<T> Matching<T> {
         self.is_complete
     }
 
-    /// Number of images without a partner so far.
-    pub fn unpaired(&self) -> u64 {
-        self.unpaired
+    /// Images without a partner so far.
+    pub fn left_out(&self) -> LeftOut {
+        self.left_out
     }
 
     /// The next pair; `None` if more images are needed.
     pub fn next_pair(&mut self) -> Option<[(MonotonicTime, T); 2]> {
-        let [left, right] = &mut self.waiting;
-        while let (Some(&(left_at, _)), Some(&(right_at, _))) = (left.front(), right.front()) {
+        let first = |waiting: &Waiting<T>, side| waiting.times(side).next();
+        while let (Some(left_at), Some(right_at)) = (first(&self.waiting, 0), first(&self.waiting, 1)) {
             let (earlier, first_at, later_at) = match left_at <= right_at {
-                true => (&mut *left, left_at, right_at),
-                false => (&mut *right, right_at, left_at),
+                true => (0, left_at, right_at),
+                false => (1, right_at, left_at),
             };
             let apart = |at: MonotonicTime| at.as_nanos().abs_diff(later_at.as_nanos());
-            let is_nearest = match earlier.get(1) {
-                Some((next_at, _)) => apart(first_at) <= apart(*next_at),
+            let is_nearest = match self.waiting.times(earlier).nth(1) {
+                Some(next_at) => apart(first_at) <= apart(next_at),
                 None if first_at < later_at && !self.is_complete => return None,
                 None => true,
             };
             if is_nearest && Duration::from_nanos(apart(first_at)) <= self.within {
-                return Some([left.pop_front()?, right.pop_front()?]);
+                return Some([self.waiting.pop(0)?, self.waiting.pop(1)?]);
             }
-            earlier.pop_front();
-            self.unpaired += 1;
+            self.waiting.pop(earlier);
+            self.left_out.images += 1;
         }
         if self.is_complete {
-            self.unpaired += self.waiting.iter_mut().map(|waiting| waiting.drain(..).len() as u64).sum::<u64>();
+            self.left_out.images += (0..2).map(|side| self.waiting.times(side).count() as u64).sum::<u64>();
+            self.waiting = Waiting::default();
         }
         None
     }
@@ -91,12 +179,12 @@ mod tests {
             }
         };
         for (millis, side) in images {
-            matching.push(side, MonotonicTime::from_nanos(millis * 1_000_000), millis);
+            matching.push(side, MonotonicTime::from_nanos(millis * 1_000_000), (millis, 0));
             take(&mut matching);
         }
         matching.complete();
         take(&mut matching);
-        (found, matching.unpaired())
+        (found, matching.left_out().images)
     }
 
     #[test]
@@ -111,8 +199,38 @@ mod tests {
 
     #[test]
     fn a_camera_that_has_stopped_takes_no_more_memory() {
-        let mut matching = Matching::new(Duration::from_millis(1));
-        (0..1000).for_each(|i| matching.push(0, MonotonicTime::from_nanos(i), ()));
-        assert_eq!((matching.waiting[0].len(), matching.unpaired()), (WAITING_MAX, 1000 - WAITING_MAX as u64));
+        let push = |bytes: usize| {
+            let mut matching = Matching::new(Duration::from_millis(1));
+            matching.push(1, MonotonicTime::ZERO, ((), bytes));
+            (0..1000).for_each(|i| matching.push(0, MonotonicTime::from_nanos(10_000_000 + i), ((), bytes)));
+            (matching.waiting.bytes, matching.waiting.images.each_ref().map(VecDeque::len), matching.left_out())
+        };
+        let left_out = |images| LeftOut { images, no_longer_waiting: images };
+        assert_eq!(push(1), ([64, 1], [64, 1], left_out(936)));
+        let mb = 1_000_000;
+        assert_eq!(push(128 * mb), ([768 * mb, 128 * mb], [6, 1], left_out(994)));
+        // The newest image of each camera stays, whatever its size.
+        assert_eq!(push(500 * mb), ([500 * mb, 500 * mb], [1, 1], left_out(999)));
+        let warning = left_out(936).warning(3.0).unwrap();
+        assert!(warning.contains("936 (for 936 of them") && warning.contains("64 images of a camera, and 900 MB"));
+        assert_eq!(LeftOut::default().warning(3.0), None);
+    }
+
+    /// Three images of the largest size are enough, and fit.
+    #[test]
+    fn pairs_of_the_largest_images_are_found() {
+        let mut matching = Matching::new(Duration::from_millis(5));
+        let mut pairs = 0;
+        for k in 0..20_u64 {
+            for side in [0, 1] {
+                let at = MonotonicTime::from_nanos((33 * k + side) * 1_000_000);
+                matching.push(side as usize, at, (k, 3 * PIXELS_MAX as usize));
+                if let Some([(_, left), (_, right)]) = matching.next_pair() {
+                    assert_eq!((left, right), (pairs, pairs));
+                    pairs += 1;
+                }
+            }
+        }
+        assert_eq!((pairs, matching.left_out()), (19, LeftOut::default()));
     }
 }

@@ -6,14 +6,14 @@ use std::time::Duration;
 use image::RgbImage;
 use pb3dp_camera_settings::PixelFormat;
 use pb3dp_geometry::{ImageSize, MonotonicTime};
-use pb3dp_record::calibration_files::{StereoCalibration, parse_ros_pair, parse_stereo};
-use pb3dp_record::images::StoredImage;
+use pb3dp_record::calibration_files::{StatedCalibration, StereoCalibration, parse_ros_pair, parse_stereo};
+use pb3dp_record::images::{StoredImage, size_in_header};
 use pb3dp_record::value_range::{ValueRange, range_of_pair};
 
 use crate::BagError;
 use crate::cdr::{CdrValue, from_bytes};
-use crate::matching::Matching;
-use crate::messages::{CameraInfo, CompressedImage, Header, Image, Point32, PolygonStamped, Text};
+use crate::matching::{LeftOut, Matching};
+use crate::messages::{CameraInfo, CompressedImage, Header, Image, Point32, PolygonStamped, RegionOfInterest, Text};
 use crate::pixels::{Pixels, converted, pixels};
 use crate::reader::{Bag, RawMessage};
 use crate::topics::{Topic, find_pair, ours};
@@ -22,6 +22,9 @@ use crate::topics::{Topic, find_pair, ours};
 pub const PAIR_WITHIN: Duration = Duration::from_millis(3);
 /// Messages that are read at most in search of the calibration, if there is no message of it at the begin.
 const SEARCHED_MAX: usize = 20_000;
+
+/// Images that are read at most in search of one that is not damaged.
+const DAMAGED_MAX: usize = 64;
 
 /// How the pairs of a recording are found.
 #[derive(Clone, Debug)]
@@ -72,10 +75,49 @@ pub struct MarkedRegion {
 pub struct BagPairs {
     messages: Box<dyn Iterator<Item = Result<RawMessage, BagError>> + Send>,
     topics: [Topic; 2],
+    infos: [CameraInfos; 2],
     range: Option<ValueRange>,
     matching: Matching<RawMessage>,
     notes: Vec<String>,
     is_over: bool,
+}
+
+/// A `camera_info` with other numbers than the one before it on its topic.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CalibrationChange {
+    /// The topic.
+    pub topic: String,
+    /// Its time: images from then on have the new calibration.
+    pub at: MonotonicTime,
+}
+
+/// The `camera_info` of a camera so far.
+struct CameraInfos {
+    /// None: the calibration is not that of a `camera_info`.
+    topic: Option<String>,
+    first: Option<CameraInfo>,
+    change: Option<MonotonicTime>,
+}
+
+impl CameraInfos {
+    /// Notes the first change.
+    fn take(&mut self, message: &RawMessage) -> Result<(), BagError> {
+        let info: CameraInfo = decoded(message)?;
+        let first = self.first.get_or_insert_with(|| info.clone());
+        if self.change.is_none() && !has_same_numbers(first, &info) {
+            self.change = Some(stamp(message)?);
+        }
+        Ok(())
+    }
+}
+
+/// Whether all but the headers agree; what is no number agrees with itself.
+fn has_same_numbers(a: &CameraInfo, b: &CameraInfo) -> bool {
+    let same =
+        |a: &[f64], b: &[f64]| a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a == b || (a.is_nan() && b.is_nan()));
+    let window = |info: &CameraInfo| (info.width, info.height, info.binning_x.max(1), info.binning_y.max(1));
+    (window(a), &a.roi, &a.distortion_model) == (window(b), &b.roi, &b.distortion_model)
+        && [(&a.d[..], &b.d[..]), (&a.k, &b.k), (&a.r, &b.r), (&a.p, &b.p)].into_iter().all(|(a, b)| same(a, b))
 }
 
 struct Stamped {
@@ -122,11 +164,11 @@ impl StereoBag {
         self.topics[0].messages.min(self.topics[1].messages)
     }
 
-    /// The calibration in the recording: that of a run of this program, or the two `camera_info` beside the images.
+    /// The calibration in the recording, as the user states it: that of a run of this program, or the two `camera_info` beside the images.
     ///
     /// # Errors
     /// If there is none, or it cannot be used.
-    pub fn calibration(&self) -> Result<StereoCalibration, BagError> {
+    pub fn calibration(&self, stated: &StatedCalibration) -> Result<StereoCalibration, BagError> {
         let file = self.bag.path();
         let missing = |why: String| BagError::NoCalibration { file: file.to_path_buf(), why };
         let names = self.topics.each_ref().map(Topic::camera_info);
@@ -143,6 +185,7 @@ impl StereoBag {
                 let Text { data } = decoded(&message)?;
                 let name = file.join("calib.json");
                 return parse_stereo(&name, &data, None)
+                    .and_then(|calibration| calibration.as_stated(stated, stated.size))
                     .map_err(|source| BagError::Calibration { file: file.to_path_buf(), source });
             }
             for (name, found) in names.iter().zip(&mut found) {
@@ -151,23 +194,46 @@ impl StereoBag {
                 }
             }
             if let [Some(left), Some(right)] = &found {
-                return self.of_camera_infos([left, right]);
+                return self.of_camera_infos([left, right], stated);
             }
         }
         let lacking = names.iter().zip(&found).filter(|(_, found)| found.is_none()).map(|(name, _)| name.as_str());
         Err(missing(format!("no message of {}", lacking.collect::<Vec<_>>().join(" and "))))
     }
 
-    fn of_camera_infos(&self, infos: [&CameraInfo; 2]) -> Result<StereoCalibration, BagError> {
+    fn of_camera_infos(
+        &self,
+        infos: [&CameraInfo; 2],
+        stated: &StatedCalibration,
+    ) -> Result<StereoCalibration, BagError> {
         let file = self.bag.path().to_path_buf();
         if infos.iter().any(|info| info.k[0] == 0.0) {
             let why = "its camera_info has no camera matrix: the cameras are not calibrated".to_owned();
             return Err(BagError::NoCalibration { file, why });
         }
         let names = self.topics.each_ref().map(|topic| file.join(topic.camera_info().trim_start_matches('/')));
-        let texts = [0, 1].map(|side| camera_info_text(infos[side], self.topics[side].is_rectified()));
-        let parsed = parse_ros_pair([&names[0], &names[1]], [&texts[0], &texts[1]]);
-        parsed.map_err(|source| BagError::Calibration { file, source })
+        let texts =
+            [0, 1].map(|side| camera_info_text(infos[side], stated.rectified || self.topics[side].is_rectified()));
+        let images = self.image_size()?;
+        let parsed = parse_ros_pair([&names[0], &names[1]], [&texts[0], &texts[1]], stated.size.or(images));
+        parsed
+            .and_then(|calibration| calibration.as_stated(stated, images))
+            .map_err(|source| BagError::Calibration { file, source })
+    }
+
+    /// Size of the left images: that of the first one that can be read.
+    fn image_size(&self) -> Result<Option<ImageSize>, BagError> {
+        for message in self.bag.messages_on(&[&self.topics[0].name])?.take(DAMAGED_MAX) {
+            let message = message?;
+            let size = match is_compressed(&message) {
+                true => decoded::<CompressedImage>(&message).ok().and_then(|image| size_in_header(&image.data.0)),
+                false => decoded::<Image>(&message).ok().map(|Image { width, height, .. }| ImageSize { width, height }),
+            };
+            if size.is_some() {
+                return Ok(size);
+            }
+        }
+        Ok(None)
     }
 
     /// The first region that an operator marked in a run of this program.
@@ -192,8 +258,12 @@ impl StereoBag {
 
     /// All pairs.
     pub fn pairs(&self) -> BagPairs {
+        let is_ours = self.bag.topics().iter().any(|topic| topic.name == ours::CALIBRATION);
+        let infos =
+            |topic: &Topic| CameraInfos { topic: (!is_ours).then(|| topic.camera_info()), first: None, change: None };
         BagPairs {
             messages: Box::new(self.bag.messages()),
+            infos: self.topics.each_ref().map(infos),
             topics: self.topics.clone(),
             range: self.options.range,
             matching: Matching::new(self.options.within),
@@ -204,9 +274,19 @@ impl StereoBag {
 }
 
 impl BagPairs {
-    /// Number of images without a partner so far.
-    pub fn unpaired(&self) -> u64 {
-        self.matching.unpaired()
+    /// Images without a partner so far.
+    pub fn left_out(&self) -> LeftOut {
+        self.matching.left_out()
+    }
+
+    /// The first change of the calibration so far that holds for a pair of this time.
+    pub fn change_before(&self, (left_at, skew_nanos): (MonotonicTime, i64)) -> Option<CalibrationChange> {
+        let right_at = MonotonicTime::from_nanos(left_at.as_nanos().saturating_add_signed(skew_nanos));
+        let change = |(infos, at): (&CameraInfos, MonotonicTime)| {
+            let change = infos.change.filter(|change| *change <= at)?;
+            Some(CalibrationChange { topic: infos.topic.clone()?, at: change })
+        };
+        self.infos.iter().zip([left_at, right_at]).filter_map(change).min_by_key(|change| change.at)
     }
 
     /// What the user should know since the last call.
@@ -237,9 +317,18 @@ impl BagPairs {
                     continue;
                 }
             };
-            let Some(side) = self.topics.iter().position(|topic| topic.name == message.channel.topic) else { continue };
+            let topic = &message.channel.topic;
+            if let Some(infos) = self.infos.iter_mut().find(|infos| infos.topic.as_ref() == Some(topic)) {
+                // A damaged one is no change.
+                let _ = infos.take(&message);
+                continue;
+            }
+            let Some(side) = self.topics.iter().position(|images| images.name == *topic) else { continue };
             match stamp(&message) {
-                Ok(at) => self.matching.push(side, at, message),
+                Ok(at) => {
+                    let bytes = message.data.len();
+                    self.matching.push(side, at, (message, bytes));
+                }
                 Err(error) => return Some(Err(error)),
             }
         }
@@ -362,6 +451,9 @@ fn camera_info_text(info: &CameraInfo, is_rectified: bool) -> String {
         (false, model) => (model, &info.d[..]),
     };
     let mut text = format!("image_width: {}\nimage_height: {}\n", info.width, info.height);
+    text += &format!("binning_x: {}\nbinning_y: {}\n", info.binning_x, info.binning_y);
+    let RegionOfInterest { x_offset, y_offset, height, width, .. } = info.roi;
+    text += &format!("roi: {{x_offset: {x_offset}, y_offset: {y_offset}, height: {height}, width: {width}}}\n");
     text += &matrix("camera_matrix", 3, 3, &k);
     text += &format!("distortion_model: {model}\n");
     text += &matrix("distortion_coefficients", 1, d.len(), d);

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use mcap::{Channel, Summary};
 
 use crate::BagError;
-use crate::raw::{RECORD_MAX, RawMessage, io};
+use crate::raw::{RECORD_MAX, RawMessage, io, open};
 
 /// Opcode and length before each record, bytes.
 const RECORD_HEAD: u64 = 9;
@@ -55,7 +55,7 @@ impl Picked {
             })
             .collect();
         chunks.sort_by_key(|(begin, _)| std::cmp::Reverse(*begin));
-        let file = File::open(path).map_err(|source| io(path, "opening", source))?;
+        let file = open(path)?;
         Ok(Some(Self { path: path.to_path_buf(), file, chunks, channels, places: Vec::new(), count: 0 }))
     }
 

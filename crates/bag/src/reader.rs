@@ -3,7 +3,6 @@
 //! A file that was broken off has no index and no end: its messages up to the last whole one are read.
 
 use std::collections::BTreeMap;
-use std::fs::File;
 use std::io::{BufReader, Read, Seek};
 use std::path::{Path, PathBuf};
 
@@ -12,9 +11,11 @@ use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryRead
 use mcap::{Channel, McapResult, Summary};
 
 use crate::BagError;
+use crate::chunk_limit::ChunkLimit;
 use crate::picked::Picked;
 use crate::raw::RECORD_MAX;
 pub(crate) use crate::raw::io;
+use crate::raw::open;
 pub use crate::raw::{Messages, RawMessage};
 use crate::topics::Topic;
 
@@ -41,7 +42,7 @@ struct BagFile {
 impl Bag {
     /// Whether a path is a recording of this kind: an MCAP file, a folder of rosbag2, or a folder with nothing but MCAP files.
     pub fn is_one(path: &Path) -> bool {
-        let is_file = path.is_file() && extension(path).is_some_and(|e| e == "mcap" || e == "db3");
+        let is_file = path.exists() && !path.is_dir() && extension(path).is_some_and(|e| e == "mcap" || e == "db3");
         is_file || path.join("metadata.yaml").is_file() || has_only_mcap_files(path)
     }
 
@@ -165,7 +166,7 @@ fn by_number(name: &str) -> Vec<(u64, String)> {
 
 fn check_magic(file: &Path) -> Result<(), BagError> {
     let mut head = Vec::new();
-    let opened = File::open(file).map_err(|source| io(file, "opening", source))?;
+    let opened = open(file)?;
     opened.take(SQLITE.len() as u64).read_to_end(&mut head).map_err(|source| io(file, "reading", source))?;
     match &head[..] {
         head if head.starts_with(SQLITE) => Err(BagError::Sqlite { file: file.to_path_buf() }),
@@ -176,7 +177,7 @@ fn check_magic(file: &Path) -> Result<(), BagError> {
 
 /// The index at the end of a file; `None` if it was broken off, or written without one.
 fn summary(path: &Path) -> Result<Option<Summary>, BagError> {
-    let mut file = File::open(path).map_err(|source| io(path, "opening", source))?;
+    let mut file = open(path)?;
     let size = file.metadata().map_err(|source| io(path, "reading", source))?.len();
     let options = SummaryReaderOptions::default().with_file_size(size).with_record_length_limit(RECORD_MAX);
     let mut reader = SummaryReader::new_with_options(options);
@@ -210,12 +211,12 @@ fn add_counts(counts: &mut BTreeMap<(String, String), u64>, summary: &Summary) {
 }
 
 fn messages_of(file: &BagFile) -> Result<impl Iterator<Item = Result<RawMessage, BagError>> + Send + use<>, BagError> {
-    let opened = File::open(&file.path).map_err(|source| io(&file.path, "opening", source))?;
+    let opened = open(&file.path)?;
     let options = LinearReaderOptions::default()
         .with_skip_end_magic(true)
         .with_record_length_limit(RECORD_MAX)
         .with_validate_chunk_crcs(true);
-    let reader = mcap::io::MessageReader::new_with_options(BufReader::new(opened), options);
+    let reader = mcap::io::MessageReader::new_with_options(ChunkLimit::new(BufReader::new(opened)), options);
     let BagFile { path, is_unfinished } = file.clone();
     let mut count = 0;
     let raw = move |read: McapResult<mcap::Message<'static>>| match read {

@@ -34,6 +34,8 @@ pub mod ours {
     pub const SETUP: &str = "/pb3dp/setup";
     /// Version of the program.
     pub const VERSION: &str = "/pb3dp/version";
+    /// Number of the form of results.
+    pub const SCHEMA_VERSION: &str = "/pb3dp/schema_version";
     /// Begin of the run.
     pub const BEGIN: &str = "/pb3dp/begin";
     /// End of the run.
@@ -56,7 +58,8 @@ pub mod ours {
 
 /// Whether the messages of a topic of ours describe the whole run: each file, and each viewer, begins with the newest one.
 pub fn describes_the_run(topic: &str) -> bool {
-    [ours::SETUP, ours::VERSION, ours::CALIBRATION, ours::TF_STATIC, ours::FILES, ours::BEGIN].contains(&topic)
+    [ours::SETUP, ours::VERSION, ours::SCHEMA_VERSION, ours::CALIBRATION, ours::TF_STATIC, ours::FILES, ours::BEGIN]
+        .contains(&topic)
 }
 
 /// A topic of a recording.

@@ -13,6 +13,7 @@ use pb3dp_bag::reader::Bag;
 use pb3dp_bag::recover::recover;
 use pb3dp_bag::topics::ours;
 use pb3dp_bag::writer::{BagWriter, WhenFull};
+use pb3dp_record::calibration_files::StatedCalibration;
 use proptest::prelude::*;
 
 use super::at;
@@ -114,7 +115,7 @@ fn images_without_a_partner_are_left_out_and_counted() {
     let bag = StereoBag::open(&file, PairOptions::default()).unwrap();
     let mut pairs = bag.pairs();
     let found: Vec<_> = pairs.by_ref().map(|pair| pair.unwrap().skew_nanos / 1_000_000).collect();
-    assert_eq!((found, pairs.unpaired()), (vec![1, -2, 0], 3));
+    assert_eq!((found, pairs.left_out().images), (vec![1, -2, 0], 3));
     let wider = PairOptions { within: Duration::from_millis(5), ..PairOptions::default() };
     assert_eq!(pairs_of(&file, wider).len(), 4);
 }
@@ -193,7 +194,7 @@ fn the_calibration_is_that_of_the_camera_infos() {
             }
         }
         writer.finish().unwrap();
-        StereoBag::open(file, PairOptions::default()).unwrap().calibration()
+        StereoBag::open(file, PairOptions::default()).unwrap().calibration(&StatedCalibration::default())
     };
     let infos = [ours::LEFT_INFO, ours::RIGHT_INFO];
     let found = write(&raw, [ours::LEFT_IMAGE, ours::RIGHT_IMAGE], infos, -72.0).unwrap();
@@ -209,6 +210,44 @@ fn the_calibration_is_that_of_the_camera_infos() {
     );
     let error = write(&loose, [ours::LEFT_IMAGE, ours::RIGHT_IMAGE], infos, 0.0).unwrap_err();
     assert!(matches!(error, BagError::Calibration { .. }), "{error}");
+}
+
+/// Images of 3x2 pixels, whose sensor has 6x4, without and with compression.
+#[test]
+fn binning_of_a_camera_info_is_applied() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut png = std::io::Cursor::new(Vec::new());
+    image::GrayImage::new(3, 2).write_to(&mut png, image::ImageFormat::Png).unwrap();
+    let compressed = CompressedImage { header: header(0), format: "png".to_owned(), data: Bytes(png.into_inner()) };
+    let binned = |shift: f64| CameraInfo {
+        width: 6,
+        height: 4,
+        k: [10.0, 0.0, 2.5, 0.0, 10.0, 1.5, 0.0, 0.0, 1.0],
+        p: [10.0, 0.0, 2.5, shift, 0.0, 10.0, 1.5, 0.0, 0.0, 0.0, 1.0, 0.0],
+        binning_x: 2,
+        binning_y: 2,
+        ..info(0, shift)
+    };
+    for name in ["plain.mcap", "compressed.mcap"] {
+        let file = dir.path().join(name);
+        let mut writer = writer(&file);
+        let topics = [(ours::LEFT_COMPRESSED, ours::LEFT_IMAGE), (ours::RIGHT_COMPRESSED, ours::RIGHT_IMAGE)];
+        let damaged = CompressedImage { data: Bytes(vec![1; 9]), ..compressed.clone() };
+        writer.push(ours::LEFT_COMPRESSED, at(0), &damaged);
+        for (side, (topic_compressed, topic)) in topics.into_iter().enumerate() {
+            match name {
+                "plain.mcap" => writer.push(topic, at(0), &image(0, 0)),
+                _ => writer.push(topic_compressed, at(0), &compressed),
+            }
+            writer.push([ours::LEFT_INFO, ours::RIGHT_INFO][side], at(0), &binned(-(side as f64)));
+        }
+        writer.finish().unwrap();
+        let found =
+            StereoBag::open(&file, PairOptions::default()).unwrap().calibration(&StatedCalibration::default()).unwrap();
+        let pinhole = found.rig.left().pinhole();
+        assert_eq!((pinhole.fx, pinhole.cx, pinhole.cy), (5.0, 1.0, 0.5));
+        assert!((found.rig.baseline_m() - 0.1).abs() < 1e-12 && found.notes[0].contains("binning 2x2"));
+    }
 }
 
 #[test]
@@ -238,6 +277,19 @@ fn what_is_no_recording_is_refused_by_name() {
     assert!(error.to_string().contains("two topics with images are needed"), "{error}");
     let missing = StereoBag::open(&dir.path().join("nothing.mcap"), PairOptions::default()).unwrap_err();
     assert!(matches!(missing, BagError::Io { .. }), "{missing}");
+}
+
+/// Opening a pipe would wait for its writer.
+#[test]
+fn a_pipe_is_no_recording_and_blocks_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let pipe = dir.path().join("pipe.mcap");
+    rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, rustix::fs::Mode::RUSR).unwrap();
+    assert!(Bag::is_one(&pipe));
+    for path in [&pipe as &Path, dir.path()] {
+        let error = Bag::open(path).unwrap_err();
+        assert!(error.to_string().contains("pipe.mcap: it is a named pipe (FIFO)"), "{error}");
+    }
 }
 
 /// The files of a split recording follow each other by their numbers.
@@ -290,7 +342,7 @@ proptest! {
         let file = dir.path().join("any.mcap");
         file_of_bytes(&file, &bytes);
         let bag = StereoBag::open(&file, PairOptions::default()).unwrap();
-        let _ = (bag.calibration(), bag.region(), bag.pairs().count());
+        let _ = (bag.calibration(&StatedCalibration::default()), bag.region(), bag.pairs().count());
     }
 
     /// An image whose header is sound, with any size, stride, encoding and data.
@@ -325,7 +377,7 @@ proptest! {
         }
         std::fs::write(&file, bytes).unwrap();
         if let Ok(bag) = StereoBag::open(&file, PairOptions::default()) {
-            let _ = (bag.calibration(), bag.pairs().take(100).count());
+            let _ = (bag.calibration(&StatedCalibration::default()), bag.pairs().take(100).count());
         }
         let _ = recover(&file, &dir.path().join("new.mcap"));
     }

@@ -1,6 +1,6 @@
 //! Fits cameras with one lens model to detected boards, and estimates the covariance.
 
-use nalgebra::{DMatrix, Isometry3, Vector2};
+use nalgebra::{DMatrix, Isometry3, UnitQuaternion, Vector2};
 use pb3dp_geometry::frames::{Board, CamLeft};
 use pb3dp_geometry::{Camera, ImageSize, Pose, StereoRig};
 
@@ -218,9 +218,50 @@ fn start<const N: usize>(views: &[View<N>], board: &Chessboard, size: ImageSize)
         let sightings: Vec<&Sighting> = views.iter().map(|view| &view.sightings[index]).collect();
         alone.push(start_of_one(&sightings, board, size).ok_or(FitError::NoStart { side })??);
     }
+    if let [left, right] = alone.as_slice() {
+        check_pairs(views, [&left.boards, &right.boards])?;
+    }
     let from_first = (0..N).map(|index| middle_pose(&alone[0].boards, &alone[index].boards)).collect();
     let cameras = alone.iter().map(|state| state.cameras[0]).collect();
     Ok(State { lens: alone[0].lens, cameras, from_first, boards: alone.swap_remove(0).boards, shape: None })
+}
+
+/// Refuses pairs whose images were not taken at the same moment: the pose between the cameras must be the same in all of them.
+fn check_pairs<const N: usize>(views: &[View<N>], [left, right]: [&[Isometry3<f64>]; 2]) -> Result<(), FitError> {
+    /// Median angle between poses of pairs that do not belong together, radians. Chosen by hand, not varied: boards of 50 px show their
+    /// turn to a few degrees; a board that is moved between images turns by 10 degrees and more.
+    const APART_MIN_RAD: f64 = 0.15;
+    /// Pairs are shifted if the angle falls to this share. Chosen by hand, not varied.
+    const SHIFTED_SHARE: f64 = 0.25;
+    // Left image i with right image i + shift.
+    let apart = |shift: isize| {
+        let of_pair = |i: usize| {
+            let other = right.get(i.checked_add_signed(shift)?)?;
+            Some(other.rotation * left[i].rotation.inverse())
+        };
+        let turns: Vec<_> = (0..left.len()).filter_map(of_pair).collect();
+        let median = |centre: &UnitQuaternion<f64>| {
+            let mut angles: Vec<f64> = turns.iter().map(|turn| turn.angle_to(centre)).collect();
+            angles.sort_by(f64::total_cmp);
+            angles[angles.len() / 2]
+        };
+        (turns.len() >= VIEWS_MIN).then(|| turns.iter().map(median).fold(f64::INFINITY, f64::min))
+    };
+    let Some(found) = apart(0).filter(|angle| *angle > APART_MIN_RAD) else { return Ok(()) };
+    let shifted = [1, -1].into_iter().find(|shift| apart(*shift).is_some_and(|angle| angle < SHIFTED_SHARE * found));
+    let advice = match shifted {
+        Some(shift) => {
+            let which = if shift > 0 { "after" } else { "before" };
+            format!(
+                "; the left image of each pair fits the right image of the pair {which} it: the pairs are one off, check the names of the \
+                 files, and whether the first images were taken at the same time"
+            )
+        }
+        None => ": take both images at the same time, and check the names of the files".to_owned(),
+    };
+    let name = |view: Option<&View<N>>| view.map_or_else(String::new, |view| view.name.clone());
+    let pairs = format!("{} to {}, {} pairs", name(views.first()), name(views.last()), views.len());
+    Err(FitError::Pairs { pairs, angle_deg: found.to_degrees(), advice })
 }
 
 /// Initial values of one camera with a simple lens.

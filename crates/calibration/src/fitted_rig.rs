@@ -24,6 +24,19 @@ pub enum FitError {
         /// Which camera.
         side: &'static str,
     },
+    /// The images of the pairs show the board in different poses: they were not taken at the same moment.
+    #[error(
+        "left and right images of the pairs do not belong together ({pairs}): the board turns between them by {angle_deg:.0} degrees from \
+         pair to pair{advice}"
+    )]
+    Pairs {
+        /// Names of the pairs.
+        pairs: String,
+        /// Median difference of the pose between the cameras from its middle, degrees.
+        angle_deg: f64,
+        /// What fits better, and what to do.
+        advice: String,
+    },
     /// The adjustment failed.
     #[error(transparent)]
     Adjustment(#[from] AdjustmentError),

@@ -49,6 +49,28 @@ fn exact_corners_give_back_the_exact_head() {
     assert!((a.to_homogeneous() - b.to_homogeneous()).amax() < 1e-8, "{a:?}, {b:?}");
 }
 
+/// A folder from which one image is missing: all later pairs are one off.
+#[test]
+fn pairs_that_are_one_off_are_named() {
+    for seed in 0..4 {
+        let mut random = Random::new(seed);
+        let truth = rig(&mut random);
+        let right_ones = views(&truth, &GOOD, &mut random);
+        let one_off: Vec<_> = right_ones
+            .windows(2)
+            .map(|pair| {
+                let mut view = pair[0].clone();
+                view.sightings[1] = pair[1].sightings[1].clone();
+                view
+            })
+            .collect();
+        let refused = Fit::<2>::new(&one_off, &board(), SIZE, LensModel::Brown4).expect_err("no fit").to_string();
+        assert!(refused.contains("of the pair before it: the pairs are one off"), "{refused}");
+        assert!(refused.contains(&one_off[0].name) && refused.contains("14 pairs"), "{refused}");
+        assert!(Fit::<2>::new(&right_ones, &board(), SIZE, LensModel::Brown4).is_ok(), "{seed}");
+    }
+}
+
 /// Errors of all parameters in units of their stated standard deviations, over all rigs.
 fn check_standard_deviations(name: &str, session: &Session) {
     let (mut within, mut all, mut squares) = (0_usize, 0_usize, 0.0);

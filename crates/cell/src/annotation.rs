@@ -25,8 +25,8 @@ fn color_of(status: Status) -> Rgb<u8> {
     match status {
         Status::Ok => colors::ESTIMATE,
         Status::WeakTilt | Status::PartlyObserved => colors::WEAK,
-        Status::Ambiguous => colors::AMBIGUOUS,
-        Status::NotObservable | Status::Lost | Status::Error => colors::BAD,
+        Status::WeakDepth | Status::Ambiguous => colors::AMBIGUOUS,
+        Status::NotObservable | Status::Miscalibrated | Status::Lost | Status::Error => colors::BAD,
     }
 }
 

@@ -7,6 +7,8 @@
 
 use std::collections::VecDeque;
 
+use pb3dp_estimation::rig_watch::RowMeter;
+use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_geometry::{MonotonicTime, StereoRig};
 use pb3dp_hal_api::FramePair;
@@ -15,7 +17,7 @@ use pb3dp_record::report::Table;
 use pb3dp_setup::setup::DriftConfig;
 use serde::Serialize;
 
-use crate::image_quality::{Exposure, MATCHES_MIN, RowMeter, blur_of, brighter_by_percent, softer_by_px};
+use crate::image_quality::{Exposure, blur_of, brighter_by_percent, softer_by_px};
 
 /// Number of samples in the median.
 const LOOKS: usize = 5;
@@ -222,7 +224,14 @@ impl DriftWatch {
         (is_synchronous, when_calibrated): (bool, WhenCalibrated),
     ) -> Result<Self, EstimationError> {
         let all = Quantity::ALL.map(|quantity| Series::new(quantity, (&config, &when_calibrated)));
-        Ok(Self { config, rows: RowMeter::new(rig)?, next_at: None, all, is_synchronous, when_calibrated })
+        Ok(Self {
+            config,
+            rows: RowMeter::new(rig, Kernels::best())?,
+            next_at: None,
+            all,
+            is_synchronous,
+            when_calibrated,
+        })
     }
 
     /// Measures a pair with this exposure time if a measurement is due; returns its messages.
@@ -233,11 +242,11 @@ impl DriftWatch {
             return Vec::new();
         }
         self.next_at = Some(at + self.config.every);
-        let measured = self.rows.measure(pair).ok().filter(|measured| measured.matches >= MATCHES_MIN);
+        let measured = self.rows.measure(&pair.left, &pair.right, None).ok().filter(|measured| measured.matches > 0);
         let cameras = [&pair.left, &pair.right];
         let blurs_px = cameras.map(|image| blur_of(&[image]));
         let values = [
-            measured.map(|measured| self.rows.worst_px(&measured)),
+            measured.map(|measured| self.rows.largest_px(&measured.believed().0)),
             blurs_px[0].zip(blurs_px[1]).map(|(left, right)| {
                 added_blur_px(softer_by_px([left, right]), self.when_calibrated.focus_px.unwrap_or(0.0))
             }),

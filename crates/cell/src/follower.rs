@@ -39,6 +39,14 @@ impl Follower {
         self.marked = None;
     }
 
+    /// For pairs whose skew nobody has stated, see [`Tracker::watch_skew`].
+    ///
+    /// # Errors
+    /// A rig that cannot be rectified.
+    pub fn watch_skew(&mut self, is_wanted: bool) -> Result<(), EstimationError> {
+        self.tracker.watch_skew(is_wanted)
+    }
+
     /// Its tracker.
     pub fn tracker(&self) -> &Tracker {
         &self.tracker

@@ -32,6 +32,7 @@ pub mod image_quality;
 pub mod images_only;
 pub mod interruption;
 pub mod journal;
+pub mod lens_reading;
 pub mod live;
 pub mod lockstep;
 pub mod log;

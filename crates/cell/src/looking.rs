@@ -117,6 +117,8 @@ pub struct Estimating<'a> {
     steps: u64,
     /// Exposure time of the previous pair, and the camera pose then if the joint history has it.
     previous: Option<(MonotonicTime, Option<Pose<Base, CamLeft>>)>,
+    /// Whether the previous estimate was `miscalibrated`, which the log has said then.
+    was_miscalibrated: bool,
 }
 
 impl<'a> Estimating<'a> {
@@ -135,6 +137,7 @@ impl<'a> Estimating<'a> {
             joints,
             steps: 0,
             previous: None,
+            was_miscalibrated: false,
         }
     }
 
@@ -193,8 +196,17 @@ impl<'a> Estimating<'a> {
             for warning in &estimate.warnings {
                 tracing::warn!("{warning}");
             }
-            tracing::info!("target initialised: {}: {}", estimate.status, estimate.reason);
+            let (status, reason) = (estimate.status, &estimate.reason);
+            match status.depth_is_sure() {
+                true => tracing::info!("target initialised: {status}: {reason}"),
+                false => tracing::warn!("the target is not followed: {status}: {reason}"),
+            }
         }
+        let is_miscalibrated = estimate.status == Status::Miscalibrated;
+        if is_miscalibrated && !self.was_miscalibrated && region.is_none() {
+            tracing::warn!("{}: {}", estimate.status, estimate.reason);
+        }
+        self.was_miscalibrated = is_miscalibrated;
         let frames = self.setup.rig.frames;
         let age = match self.setup.pace {
             // In simulated time the setup states the estimation latency.

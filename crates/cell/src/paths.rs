@@ -1,8 +1,10 @@
 //! Checks before motion whether both arms can follow an experiment.
 
-use anyhow::Result;
+use anyhow::{Result, bail};
+use nalgebra::{Point3, Vector2};
 use pb3dp_geometry::frames::{Model, Target, World};
-use pb3dp_geometry::{Pose, Twist};
+use pb3dp_geometry::{Camera, Pose, Twist};
+use pb3dp_servo::LawConfig;
 use pb3dp_setup::setup::{ArmSetup, Carrier, Setup};
 use pb3dp_sim::placement::{
     FlangePath, PathRefusal, PathReport, PathRequirements, ToolSpeed, ToolSpeedMax, check_experiment,
@@ -23,6 +25,10 @@ pub fn check_paths(
     start: Pose<World, Target>,
     until_s: Option<f64>,
 ) -> Result<Vec<(&'static str, PathReport)>> {
+    check_desired_view(setup)?;
+    if let Some(warning) = warning_of_law(setup, &start) {
+        tracing::warn!("{warning}");
+    }
     let is_carried = setup.experiment.carrier == Carrier::Arm;
     let stand_in = if is_carried { None } else { Some(without_jumps(&setup.experiment.motion).begin_at(start)?) };
     let experiment = &FirstPart { whole: stand_in.as_deref().unwrap_or(experiment), until_s };
@@ -61,6 +67,62 @@ pub fn check_stated_paths(setup: &Setup) -> Result<Vec<(&'static str, PathReport
     let tc = &setup.rig.arms.tc;
     let start = tc.world_from_base * tc.chain.forward(&tc.start_rad) * setup.rig.flange_from_target;
     check_paths(setup, &*setup.experiment.motion.begin_at(start)?, start, None)
+}
+
+/// Rotation about the optical axis from which the image-based law is warned of, degrees. The hand retreats and loses the target at 120 and 180
+/// degrees (measured in simulation); from 90 degrees on the points of the target come closer in the image before they turn.
+const RETREATS_FROM_DEG: f64 = 90.0;
+
+/// Why the image-based law will lose the target that the hand has to approach from its start.
+fn warning_of_law(setup: &Setup, start: &Pose<World, Target>) -> Option<String> {
+    let (vs, controller) = (&setup.rig.arms.vs, &setup.controller);
+    if !matches!(controller.law, LawConfig::ImageBased(_)) {
+        return None;
+    }
+    let world_from_hand = vs.world_from_base * vs.chain.forward(&vs.start_rad) * controller.flange_from_hand;
+    let desired = *start * Pose::<Target, Model>::coincident() * controller.model_from_hand_desired;
+    let mounting = controller.hand_from_cam_left;
+    let turn = (desired * mounting).inverse() * (world_from_hand * mounting);
+    // Twice the rotation of the quaternion about the optical axis alone.
+    let rotation = turn.rotation();
+    let about_axis_deg = 2.0 * rotation.k.abs().atan2(rotation.w.abs()).to_degrees();
+    (about_axis_deg > RETREATS_FROM_DEG).then(|| {
+        format!(
+            "servo.law is image-based, and the camera has to turn by {about_axis_deg:.0} degrees about its optical axis: with this law the hand \
+             may retreat until it loses the target (docs/servo.md); use feed-forward or hybrid, or change servo.model_from_hand_desired"
+        )
+    })
+}
+
+/// Refuses a desired pose of the hand from which no camera sees the origin of the target: the hand would turn the cameras away, and the
+/// target would be lost.
+fn check_desired_view(setup: &Setup) -> Result<()> {
+    let (rig, controller) = (&setup.rig.stereo, &setup.controller);
+    let cam_left_from_model = (controller.model_from_hand_desired * controller.hand_from_cam_left).inverse();
+    let in_left = Point3::from(cam_left_from_model.translation_m());
+    let in_right = rig.cam_right_from_cam_left().transform_point(&in_left);
+    let pixels = [rig.left().project(&in_left), rig.right().project(&in_right)];
+    let is_inside = |camera: &Camera, px: &Vector2<f64>| {
+        let size = camera.size();
+        (0.0..f64::from(size.width)).contains(&px.x) && (0.0..f64::from(size.height)).contains(&px.y)
+    };
+    let is_seen = |(camera, px): (&Camera, &Option<Vector2<f64>>)| px.is_some_and(|px| is_inside(camera, &px));
+    if [rig.left(), rig.right()].into_iter().zip(&pixels).any(is_seen) {
+        return Ok(());
+    }
+    let place = |px: Option<Vector2<f64>>| match px {
+        Some(px) if px.amax() < 1e5 => format!("at ({:.0}, {:.0}) px", px.x, px.y),
+        // Almost at right angles to its optical axis.
+        _ => "not in front of it".to_owned(),
+    };
+    let [left, right] = pixels.map(place);
+    let size = rig.left().size();
+    bail!(
+        "servo.model_from_hand_desired: from this pose of the hand neither camera sees the origin of the target (left camera: {left}, right \
+         camera: {right}, images of {}x{} px): the hand would turn away and lose it; state a pose that faces the target",
+        size.width,
+        size.height
+    )
 }
 
 /// The motion of a run that may end early.
@@ -110,6 +172,9 @@ fn of_hand(setup: &Setup) -> PathRequirements {
     PathRequirements { tool_speed_max: Some(hand_max), ..PathRequirements::OF_EXPERIMENT }
 }
 
+/// Setup table of the arm whose hand goes to the desired pose before the target.
+const FOLLOWER: &str = "arms.vs";
+
 /// A refusal with the setup keys that decide it.
 fn refused(name: &str, table: &str, refusal: PathRefusal) -> anyhow::Error {
     let keys = keys_of(table, &refusal);
@@ -125,13 +190,18 @@ fn keys_of(table: &str, refusal: &PathRefusal) -> String {
         PathRefusal::TooAbrupt { joint, .. } => format!("{table}.acceleration_max_rad_per_s2[{joint}]"),
         PathRefusal::ToolTooFast { quantity: ToolSpeed::Linear, .. } => "servo.speed.linear_max_mm_per_s".to_owned(),
         PathRefusal::ToolTooFast { quantity: ToolSpeed::Angular, .. } => "servo.speed.angular_max_deg_per_s".to_owned(),
+        _ if table == FOLLOWER => {
+            format!("servo.model_from_hand_desired, {table}.world_from_base, {table}.start_deg")
+        }
         _ => format!("{table}.world_from_base, {table}.start_deg"),
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use pb3dp_geometry::so3;
     use pb3dp_kinematics::StatedLimits;
+    use pb3dp_servo::{ImageBasedConfig, TargetFilterConfig};
     use pb3dp_setup::setup::{ArmSetup, read_setup};
 
     use super::*;
@@ -195,6 +265,68 @@ mod tests {
         assert!(until(1.0).is_ok());
         assert!(until(refused_at_s).is_err() && until(1e6).is_err());
         assert_eq!(until(1e6).unwrap_err().to_string(), until(f64::INFINITY).unwrap_err().to_string());
+    }
+
+    #[test]
+    fn a_desired_pose_out_of_reach_is_named() {
+        for desired in [[0.0, 0.0, -3.0], [0.3, 0.0, -2.0]] {
+            let (_, text) = refusal(|setup| {
+                let pose = &mut setup.controller.model_from_hand_desired;
+                *pose = Pose::from_parts(desired.into(), pose.rotation());
+            });
+            for part in ["vs-robot", "see servo.model_from_hand_desired, arms.vs.world_from_base"] {
+                assert!(text.contains(part), "{part} is not in {text}");
+            }
+        }
+    }
+
+    #[test]
+    fn large_rotations_about_the_optical_axis_warn_of_the_image_based_law() {
+        let warning = |law: &str, turn_deg: f64| {
+            let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml");
+            let mut setup = read_setup(std::path::Path::new(file)).unwrap();
+            if law == "image-based" {
+                setup.controller.law = LawConfig::ImageBased(ImageBasedConfig {
+                    gain_per_s: 4.0,
+                    half_width_m: 0.05,
+                    target_filter: TargetFilterConfig {
+                        position_time_constant_s: 0.05,
+                        orientation_time_constant_s: 0.3,
+                        gate_position_m: 0.1,
+                        gate_orientation_rad: 0.5,
+                        observations_to_lock: 3,
+                    },
+                });
+            }
+            let tc = &setup.rig.arms.tc;
+            let start = tc.world_from_base * tc.chain.forward(&tc.start_rad) * setup.rig.flange_from_target;
+            let pose = &mut setup.controller.model_from_hand_desired;
+            let turn = so3::exp(&nalgebra::Vector3::new(0.0, 0.0, turn_deg.to_radians()));
+            *pose = Pose::from_parts(pose.translation_m(), pose.rotation() * turn);
+            warning_of_law(&setup, &start)
+        };
+        for turn_deg in [120.0, 180.0] {
+            let text = warning("image-based", turn_deg).unwrap();
+            assert!(text.contains("servo.law is image-based") && text.contains("use feed-forward or hybrid"), "{text}");
+            assert_eq!(warning("feed-forward", turn_deg), None);
+        }
+        assert_eq!(warning("image-based", 30.0), None);
+    }
+
+    #[test]
+    fn a_desired_pose_that_looks_elsewhere_is_refused() {
+        for turn_deg in [[0.0, 60.0, 0.0], [90.0, 0.0, 0.0], [0.0, 180.0, 0.0]] {
+            let error = checked(|setup| {
+                let pose = &mut setup.controller.model_from_hand_desired;
+                let turn = so3::exp(&nalgebra::Vector3::from(turn_deg.map(f64::to_radians)));
+                *pose = Pose::from_parts(pose.translation_m(), pose.rotation() * turn);
+            });
+            let text = format!("{:#}", error.unwrap_err());
+            assert!(
+                text.contains("servo.model_from_hand_desired: from this pose of the hand neither camera sees"),
+                "{text}"
+            );
+        }
     }
 
     fn weaken(arm: &mut ArmSetup, joint: usize, acceleration_max_rad_per_s2: f64) {

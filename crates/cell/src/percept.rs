@@ -26,6 +26,7 @@ impl Percept {
         observation: Option<TargetObservation>,
     ) -> Self {
         let confidence = confidence(estimate.status, observation.is_some());
+        let observation = observation.filter(|_| confidence != Confidence::Miscalibrated);
         let covariance = estimate.covariance.map(|covariance| without_spin(covariance, estimate));
         let estimate = EstimateInput { at: frame.at, confidence, covariance, target };
         Self { frame, estimate, observation }
@@ -42,10 +43,11 @@ fn without_spin(mut covariance: Matrix6<f64>, estimate: &TrackEstimate) -> Matri
 }
 
 fn confidence(status: Status, has_pose: bool) -> Confidence {
-    match (has_pose, status.depth_is_sure()) {
+    match (has_pose, status) {
+        (_, Status::Miscalibrated) => Confidence::Miscalibrated,
         (false, _) => Confidence::NoPose,
-        (true, true) => Confidence::Sure,
-        (true, false) => Confidence::Doubtful,
+        (true, status) if status.depth_is_sure() => Confidence::Sure,
+        (true, _) => Confidence::Doubtful,
     }
 }
 
@@ -62,6 +64,7 @@ mod tests {
             assert_eq!(confidence(status, true), Confidence::Doubtful);
         }
         assert_eq!(confidence(Status::Ok, false), Confidence::NoPose);
+        assert_eq!([true, false].map(|has| confidence(Status::Miscalibrated, has)), [Confidence::Miscalibrated; 2]);
     }
 
     #[test]

@@ -6,6 +6,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use nalgebra::{UnitQuaternion, Vector3};
+use pb3dp_estimation_core::status::SCHEMA_VERSION;
 use pb3dp_record::estimates_csv::{self, EstimateRow};
 use pb3dp_record::plain_zero::plain_zero;
 use pb3dp_record::report::{LinePlot, Report, ReportImage, Series, SeriesColor, Table};
@@ -87,10 +88,8 @@ fn write_all(
     print: impl Fn(&str) -> io::Result<()>,
 ) -> Result<Following> {
     let provenance = provenance(made, setup, summary.duration_s);
-    let json = serde_json::json!({
-        "provenance": provenance.iter().cloned().collect::<std::collections::BTreeMap<_, _>>(),
-        "summary": summary,
-    });
+    let facts: std::collections::BTreeMap<_, _> = provenance.iter().cloned().collect();
+    let json = serde_json::json!({ "schema_version": SCHEMA_VERSION, "provenance": facts, "summary": summary });
     let write = |name: &str, text: String| {
         let file = folder.join(name);
         write_text(&file, &text).with_context(|| format!("{}: cannot be written", file.display()))
@@ -101,8 +100,8 @@ fn write_all(
     write("estimates.csv", estimates_csv(&outcome.log.leading))?;
     let settings = setup.layers.effective();
     write("settings.toml", toml_of(&settings))?;
-    let origin =
-        provenance.iter().fold(Table::new(["run", ""]), |table, (key, value)| table.row([key.clone(), value.clone()]));
+    let origin = Table::new(["run", ""]);
+    let origin = provenance.iter().fold(origin, |table, (key, value)| table.row([key.clone(), value.clone()]));
     let settings = settings.iter().fold(Table::new(["key", "value", "origin"]), |table, setting| {
         table.row([setting.key.clone(), setting.value.clone(), setting.origin.clone()])
     });

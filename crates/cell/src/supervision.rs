@@ -144,7 +144,7 @@ impl Supervision {
             self.share_by_state.iter().map(|(state, share)| format!("{state} {:.0} %", 100.0 * share)).collect();
         let found: Vec<String> = self.steps_found.iter().map(|(key, steps)| format!("{key} {steps}")).collect();
         let found = if found.is_empty() { "none".to_owned() } else { found.join(", ") };
-        format!("{:<34} {}\n{:<34} {found}\n", "supervisor", shares.join(", "), "findings, steps")
+        format!("{:<34} {}\n{:<34} {found}\n", "supervisor", shares.join(", "), "findings in motion or hold, steps")
     }
 
     /// Shares and findings as a report paragraph.
@@ -153,7 +153,10 @@ impl Supervision {
             self.share_by_state.iter().map(|(state, share)| format!("{state} {:.1} %", 100.0 * share)).collect();
         let found: Vec<String> = self.steps_found.iter().map(|(key, steps)| format!("{key} in {steps}")).collect();
         let found = if found.is_empty() { "none".to_owned() } else { found.join(", ") };
-        format!("Share of the time in each state: {}. Findings, in control steps: {found}.", shares.join(", "))
+        format!(
+            "Share of the time in each state: {}. Findings in motion or hold, in control steps: {found}.",
+            shares.join(", ")
+        )
     }
 
     /// The state changes as a report table.

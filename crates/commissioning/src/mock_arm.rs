@@ -20,6 +20,7 @@ use pb3dp_hal_api::Clock;
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_platform::realtime::Realtime;
 use pb3dp_kinematics::{DOF, JointVector};
+use pb3dp_record::text_file::read_text;
 use pb3dp_setup::names::{FormatName, GeometryName};
 use pb3dp_sim::joint_dynamics::JointPlant;
 use pb3dp_wiring::MOCK_ARM;
@@ -119,8 +120,7 @@ pub fn run(args: &MockArmArgs) -> anyhow::Result<ExitCode> {
 fn start(args: &MockArmArgs) -> anyhow::Result<MockServer> {
     let mut script = Script::default();
     if let Some(path) = &args.script {
-        let text =
-            std::fs::read_to_string(path).with_context(|| format!("script {} cannot be read", path.display()))?;
+        let text = read_text(path).with_context(|| format!("script {} cannot be read", path.display()))?;
         script = Script::parse(&text).with_context(|| format!("script {}", path.display()))?;
     }
     script.lines.extend(&args.fault);

@@ -46,14 +46,40 @@ pub enum EstimateWarning {
     /// The deadline stopped the method before its last step.
     #[error("cut short by the deadline: this is the best estimate so far")]
     CutShort,
-    /// The vertical misalignment of the image pair is larger than that of a calibrated rig.
+    /// Errors of the calibration that the rows of the images show, and that were corrected.
     #[error(
-        "vertical misalignment of up to {offset_max_px:.1} px: corrected here, but depth and normal depend on the same \
-         calibration: check that both cameras are triggered simultaneously, or recalibrate"
+        "vertical misalignment of up to {offset_max_px:.1} px ({errors}): corrected, but what no row shows may have changed as well: \
+         check that both cameras are triggered simultaneously, or calibrate again"
     )]
     RowsOff {
         /// Largest vertical offset anywhere in the rectified images, pixels.
         offset_max_px: f64,
+        /// The errors, as text.
+        errors: String,
+    },
+    /// The right camera exposes at another time than the left one.
+    #[error(
+        "the right camera exposes {skew_ms:+.1} ± {sigma_ms:.1} ms after the left one, as its rows show when the target moves: state it \
+         (--skew), so that the first pair is right as well"
+    )]
+    Skewed {
+        /// Middle of the right exposure minus middle of the left one, milliseconds.
+        skew_ms: f64,
+        /// Standard deviation, milliseconds.
+        sigma_ms: f64,
+    },
+    /// Nothing tells whether both cameras expose at once.
+    #[error(
+        "neither the recording nor the motion tells whether both cameras expose at once: at this speed {example_ms:.0} ms cost \
+         {cost_mm:.1} mm of depth and {cost_deg:.1} degrees of tilt: state the time between them (--skew; 0 if one trigger drives both)"
+    )]
+    SkewUnknown {
+        /// The skew of the example, milliseconds.
+        example_ms: f64,
+        /// Its depth error, millimetres.
+        cost_mm: f64,
+        /// Its tilt error, degrees.
+        cost_deg: f64,
     },
     /// The estimated depth is at an end of the depth range.
     #[error("the estimated depth, z = {z_mm:.1} mm, is at the end of the depth range: widen the range")]

@@ -11,6 +11,7 @@ pub mod method;
 pub mod model_frame;
 pub mod plane_hypothesis;
 pub mod region;
+pub mod rig_errors;
 pub mod row_offset;
 pub mod status;
 pub mod trig;

@@ -11,7 +11,7 @@ use crate::estimate::{EstimateWarning, PlaneEstimate, TrackEstimate};
 use crate::image_view::ImageView;
 use crate::plane_hypothesis::SearchRange;
 use crate::region::Region;
-use crate::row_offset::RowMeasurement;
+use crate::rig_errors::RigErrors;
 
 /// One pair of raw images, and the target to estimate in it.
 #[derive(Debug)]
@@ -201,23 +201,14 @@ pub trait EstimationMethod: Debug + Send {
     /// A rig that the method does not support.
     fn set_rig(&mut self, rig: &StereoRig) -> Result<(), EstimationError>;
 
-    /// Measures properties of the rig or scene (not of a target) on a pair of raw images. Call it once per rig or scene; all
-    /// later estimates use the result. `None` if the method has nothing to measure.
+    /// Continues with a rig whose small errors were corrected; `errors` are those, with the covariance that remains. A method that does not
+    /// use them starts anew.
     ///
     /// # Errors
-    /// Images that do not match the calibration.
-    fn prepare(
-        &mut self,
-        left: ImageView<'_>,
-        right: ImageView<'_>,
-    ) -> Result<Option<RowMeasurement>, EstimationError> {
-        let _ = (left, right);
-        Ok(None)
-    }
-
-    /// Uses a result of [`Self::prepare`] from another pair of the same rig or scene.
-    fn use_rows(&mut self, measured: &RowMeasurement) {
-        let _ = measured;
+    /// A rig that the method does not support.
+    fn correct_rig(&mut self, rig: &StereoRig, errors: &RigErrors) -> Result<(), EstimationError> {
+        let _ = errors;
+        self.set_rig(rig)
     }
 
     /// Whether the last marked target was rejected and has to be marked again.

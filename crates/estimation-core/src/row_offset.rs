@@ -32,22 +32,4 @@ impl RowOffset {
     pub fn is_zero(&self) -> bool {
         self.offset_px == 0.0 && self.slope == Vector2::zeros()
     }
-
-    /// Largest absolute offset within an image of `width` x `height`, pixels.
-    pub fn magnitude_max_px(&self, width: u32, height: u32) -> f64 {
-        let (right, bottom) = (f64::from(width.saturating_sub(1)), f64::from(height.saturating_sub(1)));
-        let corners = [(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)];
-        corners.iter().map(|&(u, v)| self.at(&Vector2::new(u, v)).abs()).fold(0.0, f64::max)
-    }
-}
-
-/// A row offset measured on one pair.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct RowMeasurement {
-    /// The offset; zero if too few points were matched.
-    pub rows: RowOffset,
-    /// Number of matched points.
-    pub matches: usize,
-    /// Robust standard deviation of a point about the fit, pixels.
-    pub spread_px: f64,
 }

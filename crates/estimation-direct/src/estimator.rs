@@ -19,7 +19,6 @@ use super::final_plane::final_plane;
 use super::front_end::StereoFrontEnd;
 use super::raw_view::RawView;
 use super::region_pyramid::{PyramidSource, RegionPyramid};
-use super::row_measurement::measure_rows;
 use super::shape::{self, ShapePixel};
 use super::spread::{Spread, include_second};
 use super::tilt_limits::TiltLimits;
@@ -28,7 +27,7 @@ use super::verdict::{
     similar_second,
 };
 use crate::outcome::{ColdStartOutcome, Rival, UnlimitedPlane};
-use pb3dp_estimation_core::row_offset::{RowMeasurement, RowOffset};
+use pb3dp_estimation_core::rig_errors::RigErrors;
 
 /// Parameters of the direct method.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -54,14 +53,15 @@ impl DirectConfig {
 
 /// Estimator of the direct method for single pairs.
 ///
-/// A vertical misalignment of some tenths of a pixel reduces the accuracy: measure the row offset once with
-/// [`Self::measure_rows`], or set it with [`Self::set_rows`]. A small residual offset is estimated with every plane.
+/// A small vertical misalignment is estimated with every plane. Errors of the rig that were measured on more than the region are set with
+/// [`EstimationMethod::correct_rig`].
 #[derive(Clone, Debug)]
 pub struct DirectEstimator {
     front_end: StereoFrontEnd,
     config: DirectConfig,
     cold_start: ColdStart,
-    rows: RowOffset,
+    /// The errors that were corrected in the rig, with their covariance.
+    errors: Option<RigErrors>,
     outcome: Option<ColdStartOutcome>,
     mask: RegionMask,
     rectified: RegionMask,
@@ -85,52 +85,12 @@ impl DirectEstimator {
         let front_end = StereoFrontEnd::new(rig, kernels)?;
         let cold_start = ColdStart::new(config.cold_start.clone(), kernels);
         let mask = RegionMask::empty(rig.left().size());
-        Ok(Self {
-            front_end,
-            config,
-            cold_start,
-            rows: RowOffset::default(),
-            outcome: None,
-            mask,
-            rectified: RegionMask::default(),
-        })
+        Ok(Self { front_end, config, cold_start, errors: None, outcome: None, mask, rectified: RegionMask::default() })
     }
 
     /// The parameters.
     pub fn config(&self) -> &DirectConfig {
         &self.config
-    }
-
-    /// Measures the row offset of the rig on a pair of raw images and uses it from now on. It takes some milliseconds and is
-    /// intended once per rig or per scene. With too few matched points the offset is zero.
-    ///
-    /// # Errors
-    /// Images that do not match the calibration.
-    pub fn measure_rows<'a>(
-        &mut self,
-        left: impl Into<ImageView<'a>>,
-        right: impl Into<ImageView<'a>>,
-    ) -> Result<RowMeasurement, EstimationError> {
-        let (left, right) = (left.into(), right.into());
-        self.front_end.check(left, right)?;
-        let measured = measure_rows(&self.front_end, left, right);
-        self.rows = measured.rows;
-        Ok(measured)
-    }
-
-    /// The current row offset.
-    pub fn rows(&self) -> &RowOffset {
-        &self.rows
-    }
-
-    /// Sets a known row offset.
-    pub fn set_rows(&mut self, rows: RowOffset) {
-        self.rows = rows;
-    }
-
-    fn rows_warning(&self, right: ImageView<'_>) -> Option<EstimateWarning> {
-        let offset_max_px = self.rows.magnitude_max_px(right.width(), right.height());
-        (offset_max_px > ROWS_OFF_MAX_PX).then_some(EstimateWarning::RowsOff { offset_max_px })
     }
 
     /// Outcome of the cold start for the last pair.
@@ -150,6 +110,7 @@ impl DirectEstimator {
             geometry: *self.front_end.geometry(),
             turn: Matrix3::from_columns(&columns),
             ray: self.front_end.raw_rig().left().unproject(centroid_px)?,
+            errors: self.errors,
         })
     }
 
@@ -158,6 +119,7 @@ impl DirectEstimator {
         let side_px = (self.cold_start.pyramid().area_px() as f64).sqrt();
         let is_exact = self.config.cold_start.refine.calibration_sigma_px == 0.0;
         let (plane, covariance) = final_plane(outcome, side_px, is_exact, choice);
+        let covariance = covariance.map(|covariance| covariance + view.covariance_of_errors(&plane));
         let Some(pose) = view.pose(&plane) else {
             estimate.reason =
                 "the best plane is behind the camera: check the depth range and the calibration".to_owned();
@@ -170,7 +132,8 @@ impl DirectEstimator {
         (estimate.status, estimate.reason) = (verdict.status, verdict.reason);
         estimate.psi = PlaneHypothesis::from_inverse_depth_plane(&pose.inverse_depth_plane, &view.ray);
         estimate.fitness = Some(outcome.finest.mean_correlation);
-        estimate.row_offset_px = Some(self.row_offset_px(outcome, &plane));
+        let estimated_px = outcome.refined.map_or(0.0, |refined| refined.row_offset_px);
+        estimate.row_offset_px = Some(view.row_offset_px(&plane) + estimated_px);
         if estimate.status == Status::NotObservable {
             return;
         }
@@ -205,13 +168,6 @@ impl DirectEstimator {
         }
     }
 
-    /// Sum of the known and the estimated row offset at the region's centroid.
-    fn row_offset_px(&self, outcome: &ColdStartOutcome, plane: &DisparityPlane) -> f64 {
-        let right_px = plane.centre_px - Vector2::new(plane.d0_px, 0.0);
-        self.front_end.rows_of_whole(&self.rows).at(&right_px)
-            + outcome.refined.map_or(0.0, |refined| refined.row_offset_px)
-    }
-
     /// Estimates the plane of a region in one pair of raw images, without a start value: the whole range is searched.
     ///
     /// # Errors
@@ -224,7 +180,7 @@ impl DirectEstimator {
         region.rasterize_into(left, &self.config.region, &mut self.mask)?;
         let centroid_px = self.mask.centroid_px().unwrap_or_default();
         let of_region = region.inspect_shape(&self.mask).into_iter().map(EstimateWarning::Region);
-        let warnings = of_region.chain(self.rows_warning(right)).collect();
+        let warnings = of_region.collect();
         if is_same_image(left, right) {
             return Ok(PlaneEstimate { reason: SAME_IMAGE.to_owned(), warnings, ..self.blank(centroid_px) });
         }
@@ -238,7 +194,7 @@ impl DirectEstimator {
             right,
             region: mask,
             disparity_px,
-            rows: self.front_end.rows_of_whole(&self.rows),
+            rows: view.rows(middle_depth_m(range)),
             wanted: Wanted::Luminance,
             search_area_px: self.config.cold_start.search_area_px,
         };
@@ -282,7 +238,7 @@ impl DirectEstimator {
             right,
             region: self.front_end.rectified_region(&self.mask, &mut self.rectified)?,
             disparity_px,
-            rows: self.front_end.rows_of_whole(&self.rows),
+            rows: view.rows(middle_depth_m(range)),
             wanted: Wanted::Luminance,
             search_area_px: shape::AREA_MAX_PX,
         };
@@ -299,7 +255,7 @@ impl DirectEstimator {
         shape::check_matched(&pixels)?;
         let camera = self.front_end.raw_rig().left();
         let point = |pixel: &ShapePixel| {
-            let z_m = view.geometry.depth_m(pixel.disparity_px)?;
+            let z_m = view.depth_m(&pixel.at_px, pixel.disparity_px)?;
             let ray = view.turn * view.geometry.left_ray(&pixel.at_px);
             let position_in_cam_left_m = Point3::from(ray * z_m);
             let pixel_px = camera.project(&position_in_cam_left_m)?;
@@ -331,36 +287,24 @@ impl EstimationMethod for DirectEstimator {
         Ok(estimate)
     }
 
-    /// Keeps parameters and memory, but not the row offset.
+    /// Keeps parameters and memory.
     fn set_rig(&mut self, rig: &StereoRig) -> Result<(), EstimationError> {
         self.front_end = StereoFrontEnd::new(rig, self.front_end.kernels())?;
-        (self.rows, self.outcome) = (RowOffset::default(), None);
+        (self.errors, self.outcome) = (None, None);
         self.mask = RegionMask::empty(rig.left().size());
         Ok(())
     }
 
-    /// Measures the row offset of the rig and uses it from now on; takes some milliseconds. With too few matched points the
-    /// offset is zero.
-    fn prepare(
-        &mut self,
-        left: ImageView<'_>,
-        right: ImageView<'_>,
-    ) -> Result<Option<RowMeasurement>, EstimationError> {
-        self.measure_rows(left, right).map(Some)
-    }
-
-    fn use_rows(&mut self, measured: &RowMeasurement) {
-        self.set_rows(measured.rows);
+    /// Keeps the rig, so that images need no other resampling: rows are moved, and planes are corrected.
+    fn correct_rig(&mut self, _rig: &StereoRig, errors: &RigErrors) -> Result<(), EstimationError> {
+        self.errors = Some(*errors);
+        Ok(())
     }
 
     fn visible_surface(&mut self, request: &EstimateRequest<'_>) -> Result<Vec<VisiblePoint>, EstimationError> {
         self.visible(request)
     }
 }
-
-/// A vertical misalignment above this indicates an invalid calibration, pixels. Chosen by hand, not varied: that of real
-/// rigs stays below 0.6.
-const ROWS_OFF_MAX_PX: f64 = 1.5;
 
 /// Whether both images are identical. Two blank images of one colour may be equal and do not count.
 fn is_same_image(left: ImageView<'_>, right: ImageView<'_>) -> bool {
@@ -423,4 +367,9 @@ fn disparity_range(view: &RawView, range: &SearchRange) -> DisparityRange {
     let depth_factor = (view.turn.transpose() * view.ray).z;
     let at = |z_m: f64| view.geometry.disparity_px(z_m * depth_factor);
     DisparityRange { lowest: at(range.z_max_m), highest: at(range.z_min_m) }
+}
+
+/// The depth in the middle of the disparities of a range, metres.
+fn middle_depth_m(range: &SearchRange) -> f64 {
+    2.0 / (1.0 / range.z_min_m + 1.0 / range.z_max_m)
 }

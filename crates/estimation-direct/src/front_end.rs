@@ -8,7 +8,6 @@ use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_image_sizes};
 use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::region::{Coverage, PixelBox, RegionMask};
-use pb3dp_estimation_core::row_offset::RowOffset;
 use pb3dp_estimation_core::wide::wide;
 use pb3dp_geometry::frames::{CamLeft, CamLeftRect};
 use pb3dp_geometry::maps::{PixelMap, RemapError};
@@ -108,20 +107,6 @@ impl StereoFrontEnd {
     /// The part of the rectified images that [`StereoRig::rectify`] gives: all of it if images are used unchanged.
     pub(super) fn middle(&self) -> PixelWindow {
         self.middle
-    }
-
-    /// Converts a row offset, which is stated for [`Self::middle`], to the whole rectified images.
-    pub(super) fn rows_of_whole(&self, rows: &RowOffset) -> RowOffset {
-        RowOffset { centre_px: rows.centre_px + self.middle_px(), ..*rows }
-    }
-
-    /// The inverse of [`Self::rows_of_whole`].
-    pub(super) fn rows_of_middle(&self, rows: &RowOffset) -> RowOffset {
-        RowOffset { centre_px: rows.centre_px - self.middle_px(), ..*rows }
-    }
-
-    fn middle_px(&self) -> Vector2<f64> {
-        Vector2::new(f64::from(self.middle.x), f64::from(self.middle.y))
     }
 
     /// The rotation from the left camera to the rectified left camera.

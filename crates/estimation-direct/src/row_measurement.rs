@@ -1,21 +1,30 @@
-//! Measurement of a pair's row offset, from many points distributed over both images.
+//! Measurement of a rig's errors on the rows of a pair, from many points distributed over both images.
 //!
-//! Points with texture in both directions are matched in the right image: over all disparities at a quarter of the size, then
-//! refined level by level, and finally to sub-pixel accuracy (Lucas and Kanade, with means and gains removed). The offset is a
-//! robust affine fit to their row differences. It takes some milliseconds and is intended once per rig or scene.
+//! Points with texture in both directions are matched in the right image: over all possible disparities at a quarter of the size, then
+//! refined level by level, and finally to sub-pixel accuracy (Lucas and Kanade, with means and gains removed). A robust fit to their row
+//! differences gives the errors that explain them ([`pb3dp_estimation_core::rig_errors`]). It takes some milliseconds.
 
-use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+mod patch;
+
+use nalgebra::{Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::image_view::ImageView;
-use pb3dp_estimation_core::region::RegionMask;
-use pb3dp_estimation_core::wide::wide;
+use pb3dp_estimation_core::region::{Region, RegionConfig, RegionMask};
+use pb3dp_estimation_core::rig_errors::{
+    ERRORS, ErrorCovariance, ErrorVector, MOVED_FROM, OFFSET, PlanePlace, ROLL, RigErrors, SCALE,
+};
+use pb3dp_estimation_core::rng::SplitMix64;
+use pb3dp_estimation_core::row_offset::RowOffset;
+use pb3dp_geometry::StereoRig;
 
+use self::patch::{CORRELATION_MIN, CoarseSearch, GRADIENT_MIN, Patch, RADIUS, refine};
 use super::colour_planes::Wanted;
-use super::disparity_plane::DisparityRange;
+use super::disparity_plane::{DisparityRange, RectifiedGeometry};
 use super::front_end::{Side, StereoFrontEnd};
-use super::image_plane::ImagePlane;
+use super::image_plane::PixelWindow;
+use super::raw_view::rows_near;
 use super::region_pyramid::{PyramidSource, RegionLevel, RegionPyramid};
-use pb3dp_estimation_core::row_offset::{RowMeasurement, RowOffset};
 
 /// Level of the exhaustive search. Chosen by hand, not varied: with the rows on either side, offsets of up to 4 px are
 /// found there; time falls to an eighth per level.
@@ -23,78 +32,376 @@ const COARSE: usize = 2;
 /// Spacing of the points, pixels of the coarse level. Chosen by hand, not varied: 16 px at full size; time grows with the
 /// inverse square.
 const SPACING: usize = 4;
-/// Half width of a patch. Chosen by hand, not varied: larger patches cross more depth edges, smaller ones match by chance
-/// more often.
-const RADIUS: usize = 4;
-const SIDE: usize = 2 * RADIUS + 1;
-const PATCH: usize = SIDE * SIDE;
-/// Lowest correlation of a match, coarse and fine. Chosen by hand, not varied: with less, wrong matches enter the robust
-/// fit; with more, noisy images have too few.
-const CORRELATION_MIN: [f64; 2] = [0.75, 0.85];
-/// Smallest difference in correlation between the best position and any position that is not its neighbour. Chosen by hand,
-/// not varied: with less, repetitive texture enters the robust fit.
-const MARGIN_MIN: f64 = 0.05;
-/// Smallest root mean square of the gradient along rows and along columns, luminance per pixel. Chosen by hand, not varied:
-/// four times what noise of `direct.search.noise_grey` makes on the coarse level (0.7, sqrt(2) x 2 / 4).
-const GRADIENT_MIN: f64 = 3.0;
-/// Smallest number of matches for an affine offset; with at least a quarter of that a constant is fitted. Chosen by hand,
-/// not varied: 20 for each of three parameters.
-const MATCHES_MIN: usize = 60;
-/// Largest row offset that is matched, pixels. Chosen by hand, not varied: below the 10 px that the search covers: 4 on the
-/// coarse level, 2 x 2 and 2 on the others.
-const OFFSET_MAX_PX: f64 = 6.0;
+/// Smallest number of matches for a fit. Chosen by hand, not varied: three for each error.
+const FIT_MATCHES_MIN: usize = 15;
+/// Smallest number of matches for a fit that is believed. Chosen with figures: of walls whose pattern repeats up to 27 match by chance, and 35 of
+/// the corners of a chessboard lean the same way.
+pub const MATCHES_MIN: usize = 40;
+/// The same if points scatter by less than this, pixels.
+const CLOSE_MATCHES_MIN: usize = 25;
+const CLOSE_PX: f64 = 0.15;
+/// Searches, each for the case that those before find few points: the level, and the rows of this level on either side of the expected one.
+/// Chosen by hand, not varied: 4 px of the image; 32 px, which are 2.5 degrees of pitch at a focal length of 740 px; and patches of 18 px and 9 px
+/// for small objects before a plain wall.
+const SEARCHES: [(usize, i64); 4] = [(COARSE, 1), (COARSE, 8), (1, 2), (0, 4)];
+/// Disparities of points, relative to that of infinity, as shares of the image width. Chosen with figures: below, there are only matches by
+/// chance; the lowest one allows for a yaw of 2 degrees at a focal length of 740 px.
+const DISPARITY_SHARES: [f64; 2] = [-0.04, 0.5];
+/// Number of points with texture on one level beyond which the next one is not searched. Chosen with figures: where hundreds of points are not
+/// found on the coarse level (insides of bodies, blurred or dark), those of the others scatter as well, and cost 0.3 s.
+const PLAIN_MAX: usize = 160;
+/// Rows that differ by this much somewhere are measured again, near the rows that the first measurement predicts, and at most so often. Chosen
+/// by hand, not varied: smaller offsets are found as well at once.
+const AGAIN_FROM_PX: f64 = 1.0;
+const AGAIN_MAX: usize = 3;
+const AGAIN_REACH_PX: i64 = 4;
+/// Neighbouring points share errors of the lens model: their information counts as that of at most this many independent ones. Chosen by hand,
+/// not varied.
+const INDEPENDENT_MAX: f64 = 100.0;
+/// Standard deviations of the errors grow by this, divided by the number of points. Chosen with figures: corners of a chessboard that are taken for
+/// their neighbours lean the same way; 35 of them seemed to show a roll of 0.09 degrees, at two standard deviations.
+const FEW: f64 = 15.0;
+/// Largest standard deviation of a point's row, pixels: beyond it the points were matched by chance. Chosen with figures: boards and walls
+/// whose pattern repeats have 2 to 5 px, blurred endoscopes up to 1.3 px.
+const SPREAD_MAX_PX: f64 = 1.5;
+/// Standard deviation of a point's row, pixels, from which the largest set of points that agree is looked for; the distance within which
+/// they agree; the number of tries, and the smallest share of all points. Chosen by hand, not varied: of points of which half are right, one
+/// try in 30 draws right ones only.
+const SPREAD_DOUBT_PX: f64 = 0.3;
+const AGREE_PX: f64 = 1.0;
+const CONSENSUS_TRIES: usize = 300;
+const CONSENSUS_SHARE: f64 = 0.5;
+/// Errors from which the search begins anew if points scatter that much, or the rig seems to have moved. Chosen by hand, not varied: rows differ
+/// by up to 3 px in an image of 640 x 480 pixels; where a pattern repeats, other places of it match better on the expected rows than the right
+/// ones beside them.
+const STARTS: [(usize, f64); 4] = [(ROLL, 0.01), (ROLL, -0.01), (SCALE, 0.01), (SCALE, -0.01)];
+/// Smallest standard deviation of a point with sharp texture, relative to the usual one. Chosen by hand, not varied: errors of the lens model
+/// do not become smaller with it.
+const RELATIVE_SIGMA_MIN: f64 = 0.7;
+/// Smallest standard deviation of a point's row, pixels. Chosen by hand, not varied: that of sharp images without noise.
+const SPREAD_MIN_PX: f64 = 0.03;
 
-/// One matched point: right pixel, and its row minus the left row.
+/// Depths of a region, as shares of the known one; the level of its search, whose patches are small enough for few to cross its edge, and rows of
+/// this level on either side; matches that it needs; and the smallest standard deviation of its row offset, pixels. Chosen by hand, not varied: 20 px
+/// of rows are 40 ms at 300 mm/s and 0.5 m.
+const DEPTH_SHARES: [f64; 2] = [0.8, 1.3];
+const REGION_LEVEL: usize = 1;
+const REGION_REACH: i64 = 10;
+const REGION_MATCHES_MIN: usize = 6;
+const REGION_SIGMA_MIN_PX: f64 = 0.02;
+/// Disparity (baseline over depth) at which a turn of the baseline is judged: a scene at five baselines.
+const USUAL_DISPARITY: f64 = 0.2;
+
+/// One matched point: its pixels.
 #[derive(Clone, Copy, Debug)]
 struct RowMatch {
+    left_px: Vector2<f64>,
     right_px: Vector2<f64>,
-    offset_px: f64,
+    /// Variance of the row that the texture of the patch allows, in any unit: large on an edge that runs along rows.
+    row_variance: f64,
 }
 
-/// Measures the row offset of a pair of raw images that the front end has checked.
-pub(super) fn measure_rows(front_end: &StereoFrontEnd, left: ImageView<'_>, right: ImageView<'_>) -> RowMeasurement {
-    let middle = front_end.middle();
-    let mut region = RegionMask::empty(front_end.size(Side::Left));
-    for y in 0..middle.height as i64 {
-        let (x, y) = (i64::from(middle.x), i64::from(middle.y) + y);
-        region.insert_span(y, x, x + middle.width as i64 - 1);
+impl RowMatch {
+    fn offset_px(&self) -> f64 {
+        self.right_px.y - self.left_px.y
     }
-    let width = middle.width as f64;
-    let source = PyramidSource {
-        left,
-        right,
-        region: &region,
-        disparity_px: DisparityRange { lowest: -0.1 * width, highest: 0.5 * width },
-        rows: RowOffset::default(),
-        wanted: Wanted::Luminance,
-        search_area_px: usize::MAX,
-    };
+}
+
+/// Measures the errors of a rig.
+#[derive(Clone, Debug)]
+pub struct RowMeter {
+    front_end: StereoFrontEnd,
+    nothing: RigErrors,
+}
+
+impl RowMeter {
+    /// A meter for the raw images of a rig.
+    ///
+    /// # Errors
+    /// A rig that cannot be rectified.
+    pub fn new(rig: &StereoRig, kernels: Kernels) -> Result<Self, EstimationError> {
+        Ok(Self { front_end: StereoFrontEnd::new(rig, kernels)?, nothing: RigErrors::of_rig(&rig.rectify()?) })
+    }
+
+    /// Measures a pair of raw images. Without enough points the errors are zero, with the covariance of the prior; with fewer than
+    /// [`MATCHES_MIN`] they are mostly not to be believed ([`is_enough`]). `before`: what earlier pairs of the rig have shown.
+    ///
+    /// # Errors
+    /// Images with another size than the rig's.
+    pub fn measure<'a>(
+        &self,
+        left: impl Into<ImageView<'a>>,
+        right: impl Into<ImageView<'a>>,
+        before: Option<&RigErrors>,
+    ) -> Result<RigErrors, EstimationError> {
+        let (left, right) = (left.into(), right.into());
+        self.front_end.check(left, right)?;
+        Ok(measure_rows(self, (left, right), before))
+    }
+
+    /// The row offsets at the corners and the centre of the rectified image, with their standard deviations; tangents.
+    pub fn offsets(&self, errors: &RigErrors) -> [(f64, f64); 5] {
+        let (middle, geometry) = (self.front_end.middle(), self.front_end.geometry());
+        let (left, top) = (f64::from(middle.x), f64::from(middle.y));
+        let (right, bottom) = (left + middle.width as f64 - 1.0, top + middle.height as f64 - 1.0);
+        let centre = (0.5 * (left + right), 0.5 * (top + bottom));
+        [(left, top), (right, top), (left, bottom), (right, bottom), centre].map(|(u, v)| {
+            let principal_px = geometry.left_principal_px + Vector2::new(geometry.disparity_offset_px, 0.0);
+            let ray = (Vector2::new(u, v) - principal_px).component_div(&geometry.focal_px);
+            errors.row_offset(&ray, USUAL_DISPARITY)
+        })
+    }
+
+    /// Largest vertical misalignment in the image, pixels.
+    pub fn largest_px(&self, errors: &RigErrors) -> f64 {
+        self.offsets(errors).into_iter().map(|(offset, _)| offset.abs()).fold(0.0, f64::max) * self.focal_px()
+    }
+
+    /// Vertical misalignment at the image centre, pixels; positive if the right image is lower.
+    pub fn centre_px(&self, errors: &RigErrors) -> f64 {
+        self.offsets(errors)[4].0 * self.focal_px()
+    }
+
+    /// Vertical focal length of the rectified images, pixels.
+    pub fn focal_px(&self) -> f64 {
+        self.front_end.geometry().focal_px.y
+    }
+}
+
+fn measure_rows(meter: &RowMeter, images: (ImageView<'_>, ImageView<'_>), before: Option<&RigErrors>) -> RigErrors {
     let mut pyramid = RegionPyramid::default();
-    if !pyramid.update(front_end, &source) || pyramid.levels().len() <= COARSE {
-        return RowMeasurement::default();
-    }
-    let level = &pyramid.levels()[COARSE];
-    let (columns, rows) = (level.left.window.width, level.left.window.height);
-    let margin = RADIUS + 2;
-    let mut search = CoarseSearch::new(level, front_end.kernels());
-    let mut matches = Vec::new();
-    for y in (margin..rows.saturating_sub(margin)).step_by(SPACING) {
-        for x in (margin..columns.saturating_sub(margin)).step_by(SPACING) {
-            matches.extend(find_again(pyramid.levels(), &mut search, Vector2::new(x as i64, y as i64)));
+    let mut measure = |errors| {
+        let start = RigErrors { errors, ..meter.nothing };
+        measure_from(meter, images, start, &mut pyramid)
+    };
+    let (first, is_plain) = measure(before.map_or(ErrorVector::zeros(), |before| before.errors));
+    let (is_found, scatters) = (is_enough(&first), first.spread_px > SPREAD_DOUBT_PX);
+    let is_worth_it = match is_found {
+        true => scatters || first.believed().1 > MOVED_FROM,
+        false => is_plain && first.matches > 0,
+    };
+    let others: Vec<ErrorVector> = match before {
+        Some(before) if (!is_found || scatters) && before.errors != ErrorVector::zeros() => vec![ErrorVector::zeros()],
+        None if is_worth_it => STARTS.map(|(index, size)| ErrorVector::ith(index, size)).to_vec(),
+        _ => Vec::new(),
+    };
+    others.into_iter().fold(first, |best, start| better(best, measure(start).0))
+}
+
+/// Whether a measurement is to be believed.
+pub fn is_enough(measured: &RigErrors) -> bool {
+    let few_are_enough = measured.spread_px <= CLOSE_PX;
+    measured.matches >= if few_are_enough { CLOSE_MATCHES_MIN } else { MATCHES_MIN }
+}
+
+fn better(best: RigErrors, other: RigErrors) -> RigErrors {
+    let is_better = match is_enough(&best) && is_enough(&other) {
+        true => information(&other) > information(&best),
+        false => is_enough(&other) || (!is_enough(&best) && other.matches > best.matches),
+    };
+    if is_better { other } else { best }
+}
+
+/// The measurement that a search near the rows of known errors leads to, and whether the image has little texture.
+fn measure_from(
+    meter: &RowMeter,
+    images: (ImageView<'_>, ImageView<'_>),
+    start: RigErrors,
+    pyramid: &mut RegionPyramid,
+) -> (RigErrors, bool) {
+    let (mut best, mut level, mut textured) = (start, COARSE, 0);
+    for search in SEARCHES {
+        let is_finer = search.0 < COARSE;
+        if is_finer && textured > PLAIN_MAX {
+            break;
+        }
+        if is_enough(&best) && (!is_finer || best.spread_px <= SPREAD_DOUBT_PX) {
+            continue;
+        }
+        let measured;
+        (measured, textured) = meter.measured_near(&best, search, images, pyramid);
+        let found = better(best, measured);
+        if found != best {
+            (best, level) = (found, search.0);
         }
     }
-    let measured = fit(&matches);
-    RowMeasurement { rows: front_end.rows_of_middle(&measured.rows), ..measured }
+    // Patches are found with more certainty on their own rows.
+    for _ in 0..AGAIN_MAX {
+        if meter.largest_px(&best) < AGAIN_FROM_PX {
+            break;
+        }
+        let (again, _) = meter.measured_near(&best, (level, AGAIN_REACH_PX >> level), images, pyramid);
+        if information(&again) <= information(&best) {
+            break;
+        }
+        best = again;
+    }
+    (best, textured <= PLAIN_MAX)
 }
 
-fn find_again(levels: &[RegionLevel], search: &mut CoarseSearch<'_>, point: Vector2<i64>) -> Option<RowMatch> {
-    let patch = Patch::take(levels[COARSE].left.luminance(), point)?;
-    if !patch.has_texture {
-        return None;
+/// Points for the variance of one.
+fn information(measured: &RigErrors) -> f64 {
+    measured.matches as f64 / measured.spread_px.powi(2).max(1e-9)
+}
+
+impl RowMeter {
+    /// A measurement that looks for points near the rows that known errors predict, on a level and so many of its rows on either side; and the
+    /// number of points with texture.
+    fn measured_near(
+        &self,
+        known: &RigErrors,
+        (level, reach): (usize, i64),
+        images: (ImageView<'_>, ImageView<'_>),
+        pyramid: &mut RegionPyramid,
+    ) -> (RigErrors, usize) {
+        let (front_end, geometry) = (&self.front_end, self.front_end.geometry());
+        let middle = front_end.middle();
+        let mut region = RegionMask::empty(front_end.size(Side::Left));
+        for y in 0..middle.height {
+            let (x, y) = (i64::from(middle.x), i64::from(middle.y) + y as i64);
+            region.insert_span(y, x, x + middle.width as i64 - 1);
+        }
+        let width = middle.width as f64;
+        let centre_px = Vector2::new(
+            f64::from(middle.x) + 0.5 * (width - 1.0),
+            f64::from(middle.y) + 0.5 * (middle.height as f64 - 1.0),
+        );
+        let ray = geometry.left_ray(&centre_px).xy();
+        let ([lowest, highest], infinite) = (DISPARITY_SHARES, geometry.disparity_offset_px);
+        let place = PlanePlace { ray, disparity: USUAL_DISPARITY, focal_px: geometry.focal_px };
+        let source = PyramidSource {
+            left: images.0,
+            right: images.1,
+            region: &region,
+            disparity_px: DisparityRange { lowest: lowest * width - infinite, highest: highest * width - infinite },
+            rows: rows_near(known, &place, geometry),
+            wanted: Wanted::Luminance,
+            search_area_px: usize::MAX,
+        };
+        let (matches, textured) = self.matches(&source, (level, reach, SPACING), pyramid);
+        (fit(&matches, geometry, self.nothing), textured)
     }
-    let mut place = search.find(&patch, point.y)?;
+
+    /// Matches of the points in a region that the search on a level finds, with the rows of the unmoved right image; and the number of points
+    /// with texture.
+    fn matches(
+        &self,
+        source: &PyramidSource<'_>,
+        (coarse, reach, spacing): (usize, i64, usize),
+        pyramid: &mut RegionPyramid,
+    ) -> (Vec<RowMatch>, usize) {
+        if !pyramid.update(&self.front_end, source) || pyramid.levels().len() <= coarse {
+            return (Vec::new(), 0);
+        }
+        let level = &pyramid.levels()[coarse];
+        let (columns, lines) = (level.left.window.width, level.left.window.height);
+        let margin = RADIUS + 2;
+        let mut search = CoarseSearch::new(level, source.disparity_px, reach, self.front_end.kernels());
+        let points = (margin..lines.saturating_sub(margin))
+            .step_by(spacing)
+            .flat_map(|y| (margin..columns.saturating_sub(margin)).step_by(spacing).map(move |x| (x, y)));
+        let inside = points.filter(|(x, y)| level.region[y * columns + x] != 0);
+        let levels = &pyramid.levels()[..=coarse];
+        let (mut matches, mut textured) = (Vec::new(), 0);
+        for (x, y) in inside {
+            let point = Vector2::new(x as i64, y as i64);
+            let Some(patch) = textured_patch(level, point) else { continue };
+            textured += 1;
+            let Some(mut found) = find_again(levels, &mut search, &patch, point) else { continue };
+            // The pyramid shows the right image with its rows moved.
+            found.right_px.y += source.rows.at(&found.right_px);
+            matches.push(found);
+        }
+        (matches, textured)
+    }
+
+    /// The row offset of a part of the left image at a known depth. `None` if too few points are found.
+    pub fn measure_region(
+        &self,
+        (left, right): (ImageView<'_>, ImageView<'_>),
+        outline_px: &[Vector2<f64>],
+        depth_m: f64,
+    ) -> Option<RegionRows> {
+        let (front_end, geometry) = (&self.front_end, self.front_end.geometry());
+        front_end.check(left, right).ok()?;
+        let region = Region::Polygon { vertices_px: outline_px.to_vec() };
+        let raw = region.rasterize(left, &RegionConfig::default()).ok()?;
+        let mut buffer = RegionMask::default();
+        let region = front_end.rectified_region(&raw, &mut buffer).ok()?;
+        let [near, far] = DEPTH_SHARES.map(|share| geometry.disparity_px(depth_m * share));
+        let source = PyramidSource {
+            left,
+            right,
+            region,
+            disparity_px: DisparityRange { lowest: far, highest: near },
+            rows: RowOffset::default(),
+            wanted: Wanted::Luminance,
+            search_area_px: usize::MAX,
+        };
+        let search = (REGION_LEVEL, REGION_REACH, SPACING);
+        let (matches, _) = self.matches(&source, search, &mut RegionPyramid::default());
+        let focal_px = geometry.focal_px.y;
+        let offsets = || matches.iter().map(|found| found.offset_px() / focal_px);
+        let offset = median(offsets().collect());
+        let spread = 1.4826 * median(offsets().map(|own| (own - offset).abs()).collect());
+        // The median of a normal distribution has pi / 2 times the variance of the mean.
+        let sigma = (std::f64::consts::FRAC_PI_2 / matches.len() as f64).sqrt() * spread;
+        (matches.len() >= REGION_MATCHES_MIN)
+            .then_some(RegionRows { offset, sigma: sigma.max(REGION_SIGMA_MIN_PX / focal_px) })
+    }
+
+    /// Column and row of a point of the left camera in the rectified left image, tangents.
+    pub fn left_ray(&self, in_cam_left_m: &Vector3<f64>) -> Vector2<f64> {
+        let rectified = self.front_end.cam_left_rect_from_cam_left().transform_vector(in_cam_left_m);
+        rectified.xy() / rectified.z
+    }
+
+    /// Length of the baseline, metres.
+    pub fn baseline_m(&self) -> f64 {
+        self.front_end.geometry().baseline_m
+    }
+}
+
+/// Row offset of a part of the image, tangents of angles.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RegionRows {
+    /// Right row minus left row.
+    pub offset: f64,
+    /// Standard deviation.
+    pub sigma: f64,
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// Right ray of a match with third component 1, with the row that it should have, and its disparity in tangents.
+fn ray_and_disparity(found: &RowMatch, geometry: &RectifiedGeometry) -> (Vector2<f64>, f64) {
+    let right_principal_px = geometry.left_principal_px + Vector2::new(geometry.disparity_offset_px, 0.0);
+    let disparity_px = found.left_px.x - found.right_px.x + geometry.disparity_offset_px;
+    let ray_px = Vector2::new(found.right_px.x, found.left_px.y) - right_principal_px;
+    (ray_px.component_div(&geometry.focal_px), disparity_px / geometry.focal_px.x)
+}
+
+/// The patch around a point with texture.
+fn textured_patch(level: &RegionLevel, point: Vector2<i64>) -> Option<Patch> {
+    // Noise halves with the size.
+    let gradient_min = GRADIENT_MIN * f64::from(1 << COARSE) / level.scale as f64;
+    Patch::take(level.left.luminance(), point).filter(|patch| patch.gradient >= gradient_min)
+}
+
+/// The match of a patch of the last level.
+fn find_again(
+    levels: &[RegionLevel],
+    search: &mut CoarseSearch<'_>,
+    patch: &Patch,
+    point: Vector2<i64>,
+) -> Option<RowMatch> {
+    let (_, finer) = levels.split_last()?;
+    let mut place = search.find(patch, point)?;
     let mut at = point;
-    for level in levels[..COARSE].iter().rev() {
+    for level in finer.iter().rev() {
         at *= 2;
         let patch = Patch::take(level.left.luminance(), at)?;
         let around = (-2..=2).flat_map(|dy| (-2..=2).map(move |dx| 2 * place + Vector2::new(dx, dy)));
@@ -105,266 +412,106 @@ fn find_again(levels: &[RegionLevel], search: &mut CoarseSearch<'_>, point: Vect
         }
         place = found;
     }
-    let (left, right) = (levels[0].left.luminance(), levels[0].right.luminance());
-    let shift = refine(left, right, at, place)?;
-    let window = levels[0].right.window;
-    let right_px =
-        Vector2::new(place.x as f64 + shift.x + f64::from(window.x), place.y as f64 + shift.y + f64::from(window.y));
-    let offset_px = right_px.y - (at.y as f64 + f64::from(levels[0].left.window.y));
-    (offset_px.abs() <= OFFSET_MAX_PX).then_some(RowMatch { right_px, offset_px })
-}
-
-/// Matches patches on the coarse level of the right image.
-struct CoarseSearch<'a> {
-    right: &'a ImagePlane,
-    /// Per patch position (its first column and row): 1 / norm of the patch minus its mean.
-    certainty: ImagePlane,
-    /// Correlations along the compared rows.
-    scores: [Vec<f32>; 3],
-    kernels: Kernels,
-}
-
-impl<'a> CoarseSearch<'a> {
-    fn new(level: &'a RegionLevel, kernels: Kernels) -> Self {
-        let right = level.right.luminance();
-        let size = |length: usize| (length + 1).saturating_sub(SIDE);
-        let mut certainty = ImagePlane::new(size(right.width()), size(right.height()));
-        let mut columns = [vec![0.0; right.width()], vec![0.0; right.width()]];
-        for y in 0..certainty.height() {
-            let rows: [&[f32]; SIDE] = std::array::from_fn(|j| right.row(y + j));
-            let [sums, squares] = &mut columns;
-            certainty_row(kernels, &rows, sums, squares, certainty.row_mut(y));
-        }
-        Self { right, certainty, scores: Default::default(), kernels }
-    }
-
-    /// The best position of a patch on its row and the adjacent rows, if it is clearly the best.
-    fn find(&mut self, patch: &Patch, y: i64) -> Option<Vector2<i64>> {
-        let mut best = (f32::NEG_INFINITY, (0, 0));
-        for (scores, row) in self.scores.iter_mut().zip(y - 1..=y + 1) {
-            scores.clear();
-            let top = usize::try_from(row - RADIUS as i64).ok().filter(|&top| top < self.certainty.height());
-            let Some(top) = top else { continue };
-            scores.resize(self.certainty.width(), 0.0);
-            let rows: [&[f32]; SIDE] = std::array::from_fn(|j| self.right.row(top + j));
-            correlate_row(self.kernels, &patch.values, &rows, self.certainty.row(top), scores);
-            for (x, &score) in scores.iter().enumerate() {
-                if score > best.0 {
-                    best = (score, (x, row));
-                }
-            }
-        }
-        let (highest, (column, row)) = best;
-        let others = self.scores.iter().flat_map(|scores| {
-            let near = column.saturating_sub(1)..(column + 2).min(scores.len());
-            scores[..near.start.min(scores.len())].iter().chain(&scores[near.end..])
-        });
-        let rival = others.fold(f32::NEG_INFINITY, |a, &b| a.max(b));
-        let is_clear = f64::from(highest) >= CORRELATION_MIN[0] && f64::from(highest - rival) >= MARGIN_MIN;
-        is_clear.then(|| Vector2::new(column as i64 + RADIUS as i64, row))
-    }
-}
-
-wide! {
-    fn certainty_row(rows: &[&[f32]; SIDE], sums: &mut [f32], squares: &mut [f32], out: &mut [f32]) = certainty_row_kernel;
-}
-
-#[inline(always)]
-fn certainty_row_kernel(rows: &[&[f32]; SIDE], sums: &mut [f32], squares: &mut [f32], out: &mut [f32]) {
-    // Grey levels relative to the middle of the luminance range, so that single precision is enough for the difference of the
-    // squares.
-    const MIDDLE: f32 = 220.0;
-    sums.fill(0.0);
-    squares.fill(0.0);
-    for row in rows {
-        for ((sum, square), value) in sums.iter_mut().zip(squares.iter_mut()).zip(*row) {
-            let value = value - MIDDLE;
-            *sum += value;
-            *square += value * value;
-        }
-    }
-    for ((out, sums), squares) in out.iter_mut().zip(sums.windows(SIDE)).zip(squares.windows(SIDE)) {
-        let (mut sum, mut square) = (0.0, 0.0);
-        for i in 0..SIDE {
-            sum += sums[i];
-            square += squares[i];
-        }
-        let variation = square - sum * sum * (1.0 / PATCH as f32);
-        *out = if variation > 1.0 { 1.0 / variation.sqrt() } else { 0.0 };
-    }
-}
-
-wide! {
-    fn correlate_row(patch: &[f32; PATCH], rows: &[&[f32]; SIDE], certainty: &[f32], scores: &mut [f32]) = correlate_row_kernel;
-}
-
-/// Correlations of a patch (mean 0, norm 1) with all positions along a row.
-#[inline(always)]
-fn correlate_row_kernel(patch: &[f32; PATCH], rows: &[&[f32]; SIDE], certainty: &[f32], scores: &mut [f32]) {
-    let width = scores.len();
-    for (weights, row) in patch.chunks_exact(SIDE).zip(rows) {
-        let shifted: [&[f32]; SIDE] = std::array::from_fn(|i| &row[i..i + width]);
-        for (x, score) in scores.iter_mut().enumerate() {
-            let mut sum = 0.0;
-            for i in 0..SIDE {
-                sum += weights[i] * shifted[i][x];
-            }
-            *score += sum;
-        }
-    }
-    for (score, certainty) in scores.iter_mut().zip(certainty) {
-        *score *= certainty;
-    }
-}
-
-/// A patch, normalised to mean 0 and norm 1.
-#[derive(Clone, Copy, Debug)]
-struct Patch {
-    values: [f32; PATCH],
-    has_texture: bool,
-}
-
-impl Patch {
-    fn take(plane: &ImagePlane, place: Vector2<i64>) -> Option<Self> {
-        let (x, y) = (place.x, place.y);
-        let r = RADIUS as i64;
-        if x < r || y < r || x + r >= plane.width() as i64 || y + r >= plane.height() as i64 {
-            return None;
-        }
-        let mut values = [0.0; PATCH];
-        for j in 0..SIDE {
-            let row = &plane.row(y as usize + j - RADIUS)[x as usize - RADIUS..=x as usize + RADIUS];
-            values[j * SIDE..(j + 1) * SIDE].copy_from_slice(row);
-        }
-        let mean = values.iter().sum::<f32>() / PATCH as f32;
-        let (mut along, mut down) = (0.0_f32, 0.0_f32);
-        for j in 0..SIDE - 1 {
-            for i in 0..SIDE - 1 {
-                let at = j * SIDE + i;
-                along += (values[at + 1] - values[at]).powi(2);
-                down += (values[at + SIDE] - values[at]).powi(2);
-            }
-        }
-        let enough = ((SIDE - 1) * (SIDE - 1)) as f32 * (GRADIENT_MIN * GRADIENT_MIN) as f32;
-        values.iter_mut().for_each(|v| *v -= mean);
-        let length = values.iter().map(|v| v * v).sum::<f32>().sqrt();
-        if length <= 0.0 {
-            return None;
-        }
-        values.iter_mut().for_each(|v| *v /= length);
-        Some(Self { values, has_texture: along >= enough && down >= enough })
-    }
-
-    /// Correlation with the patch of another plane around a position; `None` if the patch is outside the plane or uniform.
-    fn correlation_at(&self, plane: &ImagePlane, place: Vector2<i64>) -> Option<f32> {
-        let (x, y) = (place.x, place.y);
-        let r = RADIUS as i64;
-        if x < r || y < r || x + r >= plane.width() as i64 || y + r >= plane.height() as i64 {
-            return None;
-        }
-        let (x, y) = (x as usize - RADIUS, y as usize - RADIUS);
-        let middle = plane.row(y + RADIUS)[x + RADIUS];
-        let (mut product, mut sum, mut square) = ([0.0_f32; SIDE], [0.0_f32; SIDE], [0.0_f32; SIDE]);
-        for (j, own) in self.values.chunks_exact(SIDE).enumerate() {
-            let row = &plane.row(y + j)[x..x + SIDE];
-            for i in 0..SIDE {
-                let value = row[i] - middle;
-                product[i] += own[i] * value;
-                sum[i] += value;
-                square[i] += value * value;
-            }
-        }
-        let total = |values: [f32; SIDE]| values.iter().sum::<f32>();
-        let variation = total(square) - total(sum).powi(2) / PATCH as f32;
-        (variation > 0.0).then(|| total(product) / variation.sqrt())
-    }
-}
-
-/// Number of sub-pixel steps. Chosen by hand, not varied: a match that still moves by 0.05 px is dropped.
-const STEPS: usize = 5;
-
-/// Lucas-Kanade refinement of a match: correction of the right position, pixels. `None` if it diverges.
-fn refine(left: &ImagePlane, right: &ImagePlane, at: Vector2<i64>, place: Vector2<i64>) -> Option<Vector2<f64>> {
-    let template = Patch::take(left, at)?;
-    let mut shift = Vector2::zeros();
-    for step in 0..STEPS {
-        let sampled = sample(right, place, &shift)?;
-        let (mut h, mut g) = (Matrix2::zeros(), Vector2::zeros());
-        for j in 1..SIDE - 1 {
-            for i in 1..SIDE - 1 {
-                let k = j * SIDE + i;
-                let gradient = Vector2::new(
-                    0.25 * (sampled[k + 1] - sampled[k - 1] + f64::from(template.values[k + 1])
-                        - f64::from(template.values[k - 1])),
-                    0.25 * (sampled[k + SIDE] - sampled[k - SIDE] + f64::from(template.values[k + SIDE])
-                        - f64::from(template.values[k - SIDE])),
-                );
-                h += gradient * gradient.transpose();
-                g += gradient * (f64::from(template.values[k]) - sampled[k]);
-            }
-        }
-        let update = h.cholesky()?.solve(&g);
-        shift += update;
-        if shift.norm().is_nan() || shift.norm() > 1.5 || (step + 1 == STEPS && update.norm() > 0.05) {
-            return None;
-        }
-    }
-    Some(shift)
-}
-
-/// A patch of the right image at a sub-pixel position, normalised.
-fn sample(right: &ImagePlane, place: Vector2<i64>, shift: &Vector2<f64>) -> Option<[f64; PATCH]> {
-    let floor = shift.map(f64::floor);
-    let (a, b) = (shift.x - floor.x, shift.y - floor.y);
-    let first = (place.x - RADIUS as i64 + floor.x as i64, place.y - RADIUS as i64 + floor.y as i64);
-    let (x, y) = (usize::try_from(first.0).ok()?, usize::try_from(first.1).ok()?);
-    if x + SIDE >= right.width() || y + SIDE >= right.height() {
-        return None;
-    }
-    let mut values = [0.0; PATCH];
-    for (j, values) in values.chunks_exact_mut(SIDE).enumerate() {
-        let (upper, lower) = (&right.row(y + j)[x..=x + SIDE], &right.row(y + j + 1)[x..=x + SIDE]);
-        let down = |i: usize| f64::from(upper[i]) * (1.0 - b) + f64::from(lower[i]) * b;
-        for (i, value) in values.iter_mut().enumerate() {
-            *value = down(i) * (1.0 - a) + down(i + 1) * a;
-        }
-    }
-    let mean = values.iter().sum::<f64>() / PATCH as f64;
-    values.iter_mut().for_each(|v| *v -= mean);
-    let length = values.iter().map(|v| v * v).sum::<f64>().sqrt();
-    (length > 0.0).then(|| values.map(|v| v / length))
-}
-
-/// Robust fit of an affine function of the right pixel to the matches.
-fn fit(matches: &[RowMatch]) -> RowMeasurement {
-    let median = |mut values: Vec<f64>| -> f64 {
-        values.sort_by(f64::total_cmp);
-        values.get(values.len() / 2).copied().unwrap_or(0.0)
+    let (left, right) = (&levels[0].left, &levels[0].right);
+    let (shift, row_variance) = refine(left.luminance(), right.luminance(), at, place)?;
+    let whole = |window: PixelWindow, px: Vector2<i64>| {
+        Vector2::new(px.x as f64 + f64::from(window.x), px.y as f64 + f64::from(window.y))
     };
-    let count = matches.len();
-    if count < MATCHES_MIN / 4 {
-        return RowMeasurement { matches: count, ..RowMeasurement::default() };
+    Some(RowMatch { left_px: whole(left.window, at), right_px: whole(right.window, place) + shift, row_variance })
+}
+
+/// Number of steps of the robust fit. Chosen by hand, not varied.
+const FIT_STEPS: usize = 15;
+
+/// Robust fit of the errors to the row differences of the matches (Tukey's biweight).
+fn fit(matches: &[RowMatch], geometry: &RectifiedGeometry, nothing: RigErrors) -> RigErrors {
+    if matches.len() < FIT_MATCHES_MIN {
+        return nothing;
     }
-    let centre_px = matches.iter().map(|m| m.right_px).sum::<Vector2<f64>>() / count as f64;
-    let mut p = Vector3::new(median(matches.iter().map(|m| m.offset_px).collect()), 0.0, 0.0);
-    let parameters = |m: &RowMatch| Vector3::new(1.0, m.right_px.x - centre_px.x, m.right_px.y - centre_px.y);
-    let mut spread_px = 0.0;
-    for _ in 0..10 {
-        let residuals: Vec<f64> = matches.iter().map(|m| m.offset_px - p.dot(&parameters(m))).collect();
-        spread_px = (1.4826 * median(residuals.iter().map(|r| r.abs()).collect())).max(0.01);
-        if count < MATCHES_MIN {
-            break;
-        }
-        let (mut h, mut g) = (Matrix3::zeros(), Vector3::zeros());
-        for (m, r) in matches.iter().zip(&residuals) {
-            let w = (1.0 - (r / (4.0 * spread_px)).powi(2)).max(0.0).powi(2);
-            let x = parameters(m);
-            h += w * x * x.transpose();
-            g += w * x * *r;
-        }
-        let Some(h) = h.cholesky() else { break };
-        p += h.solve(&g);
+    let focal_px = &geometry.focal_px;
+    let by = |found: &RowMatch| {
+        let (ray, disparity) = ray_and_disparity(found, geometry);
+        nothing.row_derivative(&ray, disparity)
+    };
+    // In units of the usual match.
+    let usual = median(matches.iter().map(|found| found.row_variance).collect());
+    let rows: Vec<WeightedRow> = matches
+        .iter()
+        .map(|found| {
+            let relative = (found.row_variance / usual).sqrt().max(RELATIVE_SIGMA_MIN);
+            (by(found) / relative, found.offset_px() / focal_px.y / relative, relative)
+        })
+        .collect();
+    let mut start = nothing;
+    start.errors[OFFSET] = median(matches.iter().map(|found| found.offset_px() / focal_px.y).collect());
+    let of_all = fit_from(start, &rows, focal_px.y);
+    if of_all.spread_px <= SPREAD_DOUBT_PX {
+        return of_all;
     }
-    let rows = RowOffset { centre_px, offset_px: p.x, slope: Vector2::new(p.y, p.z) };
-    RowMeasurement { rows, matches: count, spread_px }
+    // Matches by chance may agree with each other better than with the true ones.
+    let agreeing = consensus(&rows, AGREE_PX / focal_px.y);
+    if (agreeing.len() as f64) >= CONSENSUS_SHARE * rows.len() as f64 && agreeing.len() >= FIT_MATCHES_MIN {
+        let found = fit_from(of_all, &agreeing, focal_px.y);
+        let scatter = median(rows.iter().map(|(by, offset, _)| (offset - by.dot(&found.errors)).abs()).collect());
+        return RigErrors { spread_px: 1.4826 * scatter * focal_px.y, ..found };
+    }
+    if of_all.spread_px > SPREAD_MAX_PX { nothing } else { of_all }
+}
+
+/// Derivative of the row offset by the errors and the offset, both over the relative standard deviation, and this deviation.
+type WeightedRow = (ErrorVector, f64, f64);
+
+/// The largest set of rows that agree with the errors of some [`ERRORS`] of them within a distance (RANSAC; Fischler and Bolles 1981).
+fn consensus(rows: &[WeightedRow], near: f64) -> Vec<WeightedRow> {
+    let prior = RigErrors::default().covariance.map_diagonal(|variance| (near / 3.0).powi(2) / variance);
+    let agrees = |(by, offset, _): &WeightedRow, errors: &ErrorVector| (offset - by.dot(errors)).abs() < near;
+    let mut random = SplitMix64::new(1);
+    let mut best = (0, ErrorVector::zeros());
+    for _ in 0..CONSENSUS_TRIES {
+        let (mut information, mut pull) = (ErrorCovariance::from_diagonal(&prior), ErrorVector::zeros());
+        for _ in 0..ERRORS {
+            let (by, offset, _) = &rows[random.below(rows.len() as u32) as usize];
+            information += by * by.transpose();
+            pull += by * *offset;
+        }
+        let Some(known) = information.cholesky() else { continue };
+        let errors = known.solve(&pull);
+        let count = rows.iter().filter(|row| agrees(row, &errors)).count();
+        if count > best.0 {
+            best = (count, errors);
+        }
+    }
+    rows.iter().filter(|row| agrees(row, &best.1)).copied().collect()
+}
+
+fn fit_from(start: RigErrors, rows: &[WeightedRow], focal_px: f64) -> RigErrors {
+    let prior = RigErrors::default().covariance.map_diagonal(|variance| 1.0 / variance);
+    let mut errors = start.errors;
+    let (mut spread, mut information) = (0.0, ErrorCovariance::zeros());
+    for _ in 0..FIT_STEPS {
+        let residual = |(by, offset, _): &WeightedRow| offset - by.dot(&errors);
+        // As of few values (Rousseeuw and Leroy 1987, chapter 5, section 1).
+        let of_few = 1.0 + 5.0 / (rows.len() - ERRORS) as f64;
+        spread = 1.4826 * of_few * median(rows.iter().map(|row| residual(row).abs()).collect());
+        spread = spread.max(SPREAD_MIN_PX / focal_px);
+        let mut pull = ErrorVector::zeros();
+        information = ErrorCovariance::zeros();
+        let mut count = 0.0;
+        for row in rows {
+            let r = residual(row);
+            let weight = (1.0 - (r / (4.0 * spread)).powi(2)).max(0.0).powi(2);
+            information += weight * row.0 * row.0.transpose();
+            pull += weight * r * row.0;
+            count += weight / row.2.powi(2);
+        }
+        let share = (INDEPENDENT_MAX / count).min(1.0) / (spread * spread);
+        information = information * share + ErrorCovariance::from_diagonal(&prior);
+        pull = pull * share - prior.component_mul(&errors);
+        let Some(known) = information.cholesky() else { return start };
+        errors += known.solve(&pull);
+    }
+    let Some(covariance) = information.cholesky().map(|known| known.inverse()) else { return start };
+    let of_few = 1.0 + FEW / (rows.len() - ERRORS) as f64;
+    let covariance = covariance * of_few.powi(2);
+    RigErrors { errors, covariance, matches: rows.len(), spread_px: spread * focal_px, ..start }
 }

@@ -95,6 +95,7 @@ mod tests {
             },
             turn: *turn.matrix(),
             ray: Vector3::new(0.12, -0.07, 1.0),
+            errors: None,
         }
     }
 

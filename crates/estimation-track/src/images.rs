@@ -45,6 +45,8 @@ const PADDING: usize = 16;
 pub(super) struct CameraImages {
     /// Position of level 0 in the raw image.
     pub(super) window: PixelWindow,
+    /// Whether colours are left out, because the other camera has none.
+    pub(super) is_grey: bool,
     pub(super) full: RgbPlane,
     /// The levels from 1 on; level 0 stays empty.
     pub(super) levels: [TexelPlane; LEVELS],
@@ -58,6 +60,9 @@ impl CameraImages {
         let window = aligned(window).clipped(image.width(), image.height());
         self.window = window;
         self.full.copy(image, window);
+        if self.is_grey {
+            self.full.leave_out_colours();
+        }
         self.full.halve_into(&mut self.levels[1], &mut self.mixed, kernels);
         for level in 2..LEVELS {
             let (finer, coarser) = self.levels.split_at_mut(level);
@@ -106,6 +111,17 @@ impl CameraImages {
     pub(super) fn origin_px(&self) -> [f32; 2] {
         [self.window.x as f32, self.window.y as f32]
     }
+}
+
+/// Whether an image has no colours: red, green and blue of its pixels are equal.
+pub(super) fn is_grey(image: ImageView<'_>) -> bool {
+    /// Every so many rows are compared. Chosen by hand: a coloured scene has colours on some of them.
+    const STEP: usize = 4;
+    let mut row = vec![0; 3 * image.width() as usize];
+    (0..image.height() as usize).step_by(STEP).all(|y| {
+        image.copy_row(0, y, &mut row);
+        row.as_chunks::<3>().0.iter().all(|[r, g, b]| r == g && g == b)
+    })
 }
 
 /// The window extended to whole pixels of the coarsest level, so that the same target is always sampled in the same phase.
@@ -160,6 +176,17 @@ impl RgbPlane {
         }
         for (y, out) in window.rows().zip(self.rgb.chunks_exact_mut(row.max(1))) {
             image.copy_row(window.x as usize, y, out);
+        }
+    }
+
+    fn leave_out_colours(&mut self) {
+        let pixels = 3 * self.width * self.height;
+        for pixel in self.rgb[..pixels].as_chunks_mut::<3>().0 {
+            let sum: u16 = pixel.iter().map(|value| u16::from(*value)).sum();
+            // The mean, rounded. Saturated colours stay saturated.
+            let grey = ((sum + 1) / 3) as u8;
+            let is_clipped = pixel.iter().any(|value| *value >= SATURATED_FROM);
+            *pixel = [if is_clipped { u8::MAX } else { grey }; 3];
         }
     }
 

@@ -12,6 +12,7 @@ use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, FramePrior, MarkedTarget, SurfacePoint};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::{Region, RegionConfig, RegionMask};
+use pb3dp_estimation_core::rig_errors::RigErrors;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
 use pb3dp_estimation_direct::image_plane::PixelWindow;
@@ -19,7 +20,7 @@ use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
 
 use super::config::DirectTrackerConfig;
-use super::images::CameraImages;
+use super::images::{CameraImages, is_grey};
 use super::judge::Fit;
 use super::predict::Expected;
 use super::repeated::{Remembered, stuck_camera};
@@ -199,6 +200,8 @@ impl DirectTracker {
         self.was_started = true;
         self.rig_at_rest = self.rig;
         check_image_sizes(&self.rig, left, right)?;
+        let is_mixed = is_grey(left) != is_grey(right);
+        self.images.iter_mut().for_each(|images| images.is_grey = is_mixed);
         let mask = region.rasterize(left, &self.region_config)?;
         let inner = mask.erode(self.erosion_px(&mask));
         let outline_px = region.outline_px(&mask);
@@ -518,6 +521,18 @@ impl EstimationMethod for DirectTracker {
 
     fn set_rig(&mut self, rig: &StereoRig) -> Result<(), EstimationError> {
         *self = Self::with_kernels(rig, self.estimator.config().clone(), self.config, self.kernels)?;
+        Ok(())
+    }
+
+    /// Keeps the target. What is known of it depends on the lenses, so those change only while there is no target.
+    fn correct_rig(&mut self, rig: &StereoRig, errors: &RigErrors) -> Result<(), EstimationError> {
+        self.estimator.correct_rig(rig, errors)?;
+        self.rig = match self.target {
+            Some(_) => {
+                StereoRig::new(*self.rig.left(), *self.rig.right(), *rig.cam_right_from_cam_left()).unwrap_or(*rig)
+            }
+            None => *rig,
+        };
         Ok(())
     }
 

@@ -3,18 +3,26 @@
 use std::fmt;
 use std::str::FromStr;
 
+use nalgebra::Vector6;
+
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::{PlaneEstimate, TrackEstimate};
 use pb3dp_estimation_core::image_view::ImageView;
+use pb3dp_estimation_core::rig_errors::RigErrors;
+use pb3dp_estimation_core::status::Status;
 use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
 use pb3dp_estimation_published::estimator::PublishedConfig;
 use pb3dp_estimation_track::DirectTrackerConfig;
-use pb3dp_geometry::StereoRig;
+use pb3dp_geometry::frames::{CamLeft, Model};
+use pb3dp_geometry::{Pose, StereoRig};
 
+use crate::rig_watch::RigWatch;
+use crate::skew_watch::SkewWatch;
+
+use pb3dp_estimation_core::method::Answer;
 pub use pb3dp_estimation_core::method::{
     EstimateRequest, EstimationMethod, FramePrior, MarkedTarget, SurfacePoint, VisiblePoint,
 };
-pub use pb3dp_estimation_core::row_offset::RowMeasurement;
 pub use pb3dp_estimation_published::estimator::{PublishedEstimator, PublishedTracker};
 pub use pb3dp_estimation_track::DirectTracker;
 
@@ -110,11 +118,14 @@ impl Method {
     }
 }
 
-/// Estimator for single pairs, with any method.
+/// Estimator for single pairs, with any method. Every pair is compared with the calibration, see [`RigWatch`].
 #[derive(Debug)]
 pub struct Estimator {
     method: Method,
     inner: PairMethod,
+    watch: RigWatch,
+    /// The rig that `inner` has.
+    rig: StereoRig,
 }
 
 impl Estimator {
@@ -123,7 +134,7 @@ impl Estimator {
     /// # Errors
     /// A parameter out of its range.
     pub fn new(method: Method, rig: &StereoRig, config: &EstimatorConfig) -> Result<Self, EstimationError> {
-        Ok(Self { method, inner: method.for_pairs(rig, config)? })
+        Ok(Self { method, inner: method.for_pairs(rig, config)?, watch: RigWatch::new(rig)?, rig: *rig })
     }
 
     /// The method.
@@ -136,7 +147,15 @@ impl Estimator {
     /// # Errors
     /// See [`EstimationMethod::estimate`].
     pub fn estimate(&mut self, request: EstimateRequest<'_>) -> Result<PlaneEstimate, EstimationError> {
-        self.inner.estimate(request)
+        if self.watch.errors().is_none() {
+            self.look(request.left, request.right)?;
+        }
+        let mut estimate = self.inner.estimate(request)?;
+        if let Some(objection) = self.watch.objection() {
+            (estimate.status, estimate.reason) = (Status::Miscalibrated, objection);
+        }
+        estimate.warnings.extend(self.watch.warning());
+        Ok(estimate)
     }
 
     /// The visible surface of a region, see [`EstimationMethod::visible_surface`].
@@ -152,32 +171,108 @@ impl Estimator {
     /// # Errors
     /// A rig that the method does not support.
     pub fn set_rig(&mut self, rig: &StereoRig) -> Result<(), EstimationError> {
+        self.watch = RigWatch::new(rig)?;
+        self.rig = *rig;
         self.inner.set_rig(rig)
     }
 
-    /// Measures properties of the rig or the scene, see [`EstimationMethod::prepare`].
+    /// Compares a pair with the calibration, for this and later estimates. [`Self::estimate`] does it only until one look has found enough
+    /// points; it takes some milliseconds.
     ///
     /// # Errors
     /// Images that do not match the calibration.
-    pub fn prepare<'a>(
+    pub fn look<'a>(
         &mut self,
         left: impl Into<ImageView<'a>>,
         right: impl Into<ImageView<'a>>,
-    ) -> Result<Option<RowMeasurement>, EstimationError> {
-        self.inner.prepare(left.into(), right.into())
+    ) -> Result<RigErrors, EstimationError> {
+        self.watch.allow_time();
+        let measured = self.watch.look(left, right)?;
+        correct(&mut *self.inner, &self.watch, (self.method, true), &mut self.rig)?;
+        Ok(measured)
     }
 
-    /// Uses a result of [`Self::prepare`] from another pair of the same rig or scene.
-    pub fn use_rows(&mut self, measured: &RowMeasurement) {
-        self.inner.use_rows(measured);
+    /// What the pairs so far have shown of the rig.
+    pub fn watch(&self) -> &RigWatch {
+        &self.watch
+    }
+
+    /// Continues with what other pairs of the same rig have shown.
+    pub fn use_watch(&mut self, watch: RigWatch) {
+        self.watch = watch;
     }
 }
 
-/// Tracker for sequences, with any method.
+/// Hands a method what is known of the rig.
+fn correct<A: Answer>(
+    inner: &mut dyn EstimationMethod<Answer = A>,
+    watch: &RigWatch,
+    (method, may_restart): (Method, bool),
+    rig: &mut StereoRig,
+) -> Result<(), EstimationError> {
+    let Some(errors) = watch.errors() else { return Ok(()) };
+    let is_wanted = match method {
+        Method::Direct => true,
+        Method::Published => may_restart && watch.has_moved() && rig != watch.rig(),
+    };
+    if is_wanted {
+        inner.correct_rig(watch.rig(), errors)?;
+        *rig = *watch.rig();
+    }
+    Ok(())
+}
+
+/// Tracker for sequences, with any method. The pairs are compared with the calibration from time to time, and after a jump of the pose or a
+/// loss, see [`RigWatch`].
 #[derive(Debug)]
 pub struct Tracker {
     method: Method,
     inner: SequenceMethod,
+    watch: RigWatch,
+    /// The rig that `inner` has.
+    rig: StereoRig,
+    /// Pairs since the last look at the rig.
+    pairs: u32,
+    was_sure: bool,
+    steps: Steps,
+    /// For pairs whose skew nobody has stated.
+    skew: Option<Box<SkewWatch>>,
+}
+
+/// Rows show errors of the rig only if both cameras expose at once, to this time, seconds: at 100 mm/s and 0.5 m rows differ by 0.15 px.
+const SKEW_FOR_ROWS_S: f64 = 1e-3;
+/// Time between pairs if the caller does not give it, seconds: that of cameras with 30 pairs per second.
+const USUAL_INTERVAL_S: f64 = 1.0 / 30.0;
+/// Pairs between two looks at the rig. Chosen by hand, not varied: a look takes as long as some pairs.
+const LOOK_EVERY: u32 = 10;
+/// A pose has jumped if its step from the last one differs by more than this from the step before: radians, share of the distance, and
+/// standard deviations of the pose. Chosen by hand, not varied: a jump costs a look at the rig, and a hand that accelerates makes smaller ones.
+const JUMP_RAD: f64 = 0.009;
+const JUMP_SHARE: f64 = 0.005;
+const JUMP_SIGMAS: f64 = 5.0;
+
+/// The last pose, and the step that led to it.
+#[derive(Clone, Copy, Debug, Default)]
+struct Steps {
+    last: Option<Pose<CamLeft, Model>>,
+    step: Option<Vector6<f64>>,
+}
+
+impl Steps {
+    /// Takes the next estimate; whether its pose has jumped.
+    fn has_jumped(&mut self, estimate: &TrackEstimate) -> bool {
+        let pose = estimate.cam_left_from_model;
+        let step = pose.zip(self.last).map(|(now, last)| (last.inverse() * now).log());
+        let change = step.zip(self.step).map(|(now, before)| now - before);
+        (self.last, self.step) = (pose, step);
+        let Some((change, pose)) = change.zip(pose) else { return false };
+        let variances = estimate.covariance.map_or(Vector6::zeros(), |covariance| covariance.diagonal());
+        let is_beyond = |first: usize, limit: f64| {
+            let sigma = variances.fixed_rows::<3>(first).sum().max(0.0).sqrt();
+            change.fixed_rows::<3>(first).norm() > limit.max(JUMP_SIGMAS * sigma)
+        };
+        is_beyond(0, JUMP_SHARE * pose.translation_m().norm()) || is_beyond(3, JUMP_RAD)
+    }
 }
 
 impl Tracker {
@@ -186,7 +281,17 @@ impl Tracker {
     /// # Errors
     /// A parameter out of its range.
     pub fn new(method: Method, rig: &StereoRig, config: &EstimatorConfig) -> Result<Self, EstimationError> {
-        Ok(Self { method, inner: method.for_sequences(rig, config)? })
+        let watch = RigWatch::new(rig)?;
+        Ok(Self {
+            method,
+            inner: method.for_sequences(rig, config)?,
+            watch,
+            rig: *rig,
+            pairs: 0,
+            was_sure: false,
+            steps: Steps::default(),
+            skew: None,
+        })
     }
 
     /// The method.
@@ -194,12 +299,86 @@ impl Tracker {
         self.method
     }
 
+    /// Estimates the skew of the pairs that follow from the motion of the target, see [`SkewWatch`], takes out what it finds, and warns if it
+    /// cannot. For pairs whose skew nobody has stated; those that state one are left alone. Only the method `direct` can use a skew.
+    ///
+    /// # Errors
+    /// A rig that cannot be rectified.
+    pub fn watch_skew(&mut self, is_wanted: bool) -> Result<(), EstimationError> {
+        self.skew = match is_wanted && self.method == Method::Direct {
+            true => Some(Box::new(SkewWatch::new(self.watch.calibrated())?)),
+            false => None,
+        };
+        Ok(())
+    }
+
+    /// What the pairs so far have shown of their skew.
+    pub fn skew(&self) -> Option<&SkewWatch> {
+        self.skew.as_deref()
+    }
+
     /// Initialises a marked target, or tracks the current target in the next pair of raw images.
     ///
     /// # Errors
     /// See [`EstimationMethod::estimate`].
-    pub fn estimate(&mut self, request: EstimateRequest<'_>) -> Result<TrackEstimate, EstimationError> {
-        self.inner.estimate(request)
+    pub fn estimate(&mut self, mut request: EstimateRequest<'_>) -> Result<TrackEstimate, EstimationError> {
+        let (left, right, is_new) = (request.left, request.right, request.target.is_some());
+        let (is_stated, dt_s) = (request.prior.skew_s != 0.0, request.prior.dt_s);
+        if let Some(found) = self.skew.as_ref().filter(|_| !is_stated).and_then(|skew| skew.found()) {
+            request.prior.skew_s = found.skew_s;
+        }
+        let rows_show_rig = request.prior.skew_s.abs() < SKEW_FOR_ROWS_S;
+        self.pairs += 1;
+        if !rows_show_rig && self.watch.errors().is_some() {
+            self.forget_rig()?;
+        }
+        if rows_show_rig && (is_new || self.pairs >= LOOK_EVERY || self.watch.is_in_doubt()) {
+            self.look(left, right, is_new)?;
+        }
+        let mut estimate = self.inner.estimate(request)?;
+        let is_sure = estimate.status.depth_is_sure();
+        let has_jumped = self.steps.has_jumped(&estimate);
+        if rows_show_rig && ((self.was_sure && !is_sure) || has_jumped) && self.pairs > 0 {
+            // Have the cameras moved?
+            self.look(left, right, false)?;
+        }
+        self.was_sure = is_sure;
+        if let Some(skew) = self.skew.as_mut().filter(|skew| !is_stated && !skew.is_done()) {
+            skew.take((left, right), dt_s.unwrap_or(USUAL_INTERVAL_S), &estimate);
+            estimate.warnings.extend(skew.news());
+        }
+        if is_new {
+            estimate.warnings.extend(self.watch.warning());
+        }
+        if let Some(objection) = self.watch.objection() {
+            (estimate.status, estimate.reason) = (Status::Miscalibrated, objection);
+        }
+        Ok(estimate)
+    }
+
+    /// Forgets what rows have shown that were not of one moment.
+    fn forget_rig(&mut self) -> Result<(), EstimationError> {
+        let calibrated = *self.watch.calibrated();
+        self.watch = RigWatch::new(&calibrated)?;
+        if self.method == Method::Direct {
+            self.inner.correct_rig(&calibrated, &RigErrors::calibrated())?;
+            self.rig = calibrated;
+        }
+        Ok(())
+    }
+
+    fn look(&mut self, left: ImageView<'_>, right: ImageView<'_>, is_new: bool) -> Result<(), EstimationError> {
+        self.pairs = 0;
+        if is_new {
+            self.watch.allow_time();
+        }
+        self.watch.look(left, right)?;
+        correct(&mut *self.inner, &self.watch, (self.method, is_new), &mut self.rig)
+    }
+
+    /// What the pairs so far have shown of the rig.
+    pub fn watch(&self) -> &RigWatch {
+        &self.watch
     }
 
     /// Whether the last marked target was rejected and has to be marked again. Always false for the published method, which

@@ -1,8 +1,8 @@
 //! Projection-based 3D perception: pose of an unknown object from one stereo pair.
 //!
 //! Contents: estimators and trackers [by the name of their method](estimator), planning of a stereo rig's accuracy
-//! ([`rig_plan`]), a check of images against their calibration ([`pair_check`]), and the share of an uncertain calibration in the
-//! covariance of a pose ([`calibration_term`]).
+//! ([`rig_plan`]), checks of images against their calibration ([`pair_check`], [`rig_watch`]), the skew of cameras that do not expose at once
+//! ([`skew_watch`]), and the share of an uncertain calibration in the covariance of a pose ([`calibration_term`]).
 //!
 //! This crate works on images, calibration and geometry. It uses no file, clock, thread or environment; a caller that needs
 //! threads distributes the work itself.
@@ -11,6 +11,8 @@ pub mod calibration_term;
 pub mod estimator;
 pub mod pair_check;
 pub mod rig_plan;
+pub mod rig_watch;
+pub mod skew_watch;
 
 pub use pb3dp_estimation_core::error::EstimationError;
 

@@ -18,6 +18,7 @@ mod images;
 #[cfg(test)]
 mod tests;
 
+use image::{RgbImage, imageops};
 use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::trig;
 use pb3dp_geometry::StereoRig;
@@ -82,11 +83,12 @@ pub enum PairVerdict {
     Unknown,
 }
 
-/// Left and right images that are exchanged.
+/// Left and right images that are exchanged, or that are both mirrored or turned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "left and right look exchanged: {behind} of {agreeing} patches match only behind the cameras, and once exchanged {fitting_exchanged} \
-     match in front"
+     match in front{}",
+    self.alternatives()
 )]
 pub struct Exchanged {
     /// As in [`PairCheck`].
@@ -95,6 +97,24 @@ pub struct Exchanged {
     pub behind: usize,
     /// As in [`PairCheck`].
     pub fitting_exchanged: usize,
+    /// As in [`PairCheck`].
+    pub fits_mirrored: bool,
+    /// As in [`PairCheck`].
+    pub fits_turned: bool,
+}
+
+impl Exchanged {
+    fn alternatives(&self) -> String {
+        let which = match (self.fits_mirrored, self.fits_turned) {
+            (true, true) => "mirrored, or turned by 180 degrees",
+            (true, false) => "mirrored",
+            (false, true) => "turned by 180 degrees",
+            (false, false) => return String::new(),
+        };
+        format!(
+            "; they also fit if both are {which}: check that the driver does not mirror or turn them before you exchange them"
+        )
+    }
 }
 
 /// The verdict and the numbers behind it.
@@ -115,6 +135,10 @@ pub struct PairCheck {
     /// Number of patches that match in front of the cameras once the images are swapped. Consistent images are not tested in
     /// swapped order: 0.
     pub fitting_exchanged: usize,
+    /// Whether exchanged images also fit in their order if both are mirrored: their columns in reverse.
+    pub fits_mirrored: bool,
+    /// Whether exchanged images also fit in their order if both are turned by 180 degrees.
+    pub fits_turned: bool,
     /// Median distance of the agreeing matches from their epipolar lines, pixels of the right image; positive is down.
     pub row_offset_px: Option<f64>,
     /// Spread of these distances: 1.4826 times their median absolute deviation, pixels.
@@ -132,9 +156,9 @@ impl PairCheck {
     /// # Errors
     /// Left and right are exchanged: all estimates from them would be wrong.
     pub fn accepted(&self) -> Result<Option<String>, Exchanged> {
-        let Self { agreeing, behind, fitting_exchanged, .. } = *self;
+        let Self { agreeing, behind, fitting_exchanged, fits_mirrored, fits_turned, .. } = *self;
         match self.verdict {
-            PairVerdict::Swapped => Err(Exchanged { agreeing, behind, fitting_exchanged }),
+            PairVerdict::Swapped => Err(Exchanged { agreeing, behind, fitting_exchanged, fits_mirrored, fits_turned }),
             _ => Ok(self.doubt()),
         }
     }
@@ -173,6 +197,8 @@ impl PairCheck {
             agreeing: 0,
             behind: 0,
             fitting_exchanged: 0,
+            fits_mirrored: false,
+            fits_turned: false,
             row_offset_px: None,
             row_spread_px: None,
         }
@@ -193,16 +219,39 @@ fn check_views(rig: &StereoRig, left: ImageView<'_>, right: ImageView<'_>) -> Pa
     if !fits(rig.left(), left) || !fits(rig.right(), right) || roll_deg(rig).abs() > ROLL_MAX_DEG {
         return PairCheck::unknown();
     }
-    let in_this_order =
-        |left, right| matches_of(rig, left, right).map_or_else(PairCheck::unknown, |found| judge(&found));
-    let check = in_this_order(left, right);
+    let check = in_order(rig, left, right);
     if check.verdict == PairVerdict::Consistent || left.dimensions() != right.dimensions() {
         return check;
     }
-    let exchanged = in_this_order(right, left);
+    let exchanged = in_order(rig, right, left);
     let fitting_exchanged = exchanged.agreeing - exchanged.behind;
-    let verdict = if exchanged.verdict == PairVerdict::Consistent { PairVerdict::Swapped } else { check.verdict };
-    PairCheck { verdict, fitting_exchanged, ..check }
+    if exchanged.verdict != PairVerdict::Consistent {
+        return PairCheck { fitting_exchanged, ..check };
+    }
+    // Mirrored and turned images also have their disparities in reverse.
+    let fits = |turned: fn(ImageView<'_>) -> RgbImage| {
+        let [left, right] = [turned(left), turned(right)];
+        in_order(rig, (&left).into(), (&right).into()).verdict == PairVerdict::Consistent
+    };
+    let (fits_mirrored, fits_turned) = (fits(mirrored), fits(|image| imageops::rotate180(&copied(image))));
+    PairCheck { verdict: PairVerdict::Swapped, fitting_exchanged, fits_mirrored, fits_turned, ..check }
+}
+
+fn in_order(rig: &StereoRig, left: ImageView<'_>, right: ImageView<'_>) -> PairCheck {
+    matches_of(rig, left, right).map_or_else(PairCheck::unknown, |found| judge(&found))
+}
+
+fn copied(image: ImageView<'_>) -> RgbImage {
+    let mut copy = RgbImage::new(image.width(), image.height());
+    let row = 3 * image.width() as usize;
+    for (y, out) in copy.chunks_exact_mut(row.max(1)).enumerate() {
+        image.copy_row(0, y, out);
+    }
+    copy
+}
+
+fn mirrored(image: ImageView<'_>) -> RgbImage {
+    imageops::flip_horizontal(&copied(image))
 }
 
 /// Roll angle between the cameras: rotation of the left camera's vertical axis in the right image.

@@ -3,6 +3,9 @@
 
 use image::{Rgb, RgbImage};
 use nalgebra::Vector2;
+use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
+use pb3dp_estimation::rig_watch::RowMeter;
+use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate};
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
@@ -257,7 +260,7 @@ fn the_width_of_an_edge_is_not_taken_for_a_sure_slope() {
     assert!(wrong[0] == 0 && wrong[1] > 0, "off by more than 1.25 sigmas: {}, and {} without", wrong[0], wrong[1]);
 }
 
-/// Vertical misalignment is corrected; beyond a limit the calibration cannot be trusted.
+/// Vertical misalignment is corrected and told; beyond a limit the calibration cannot be trusted.
 #[test]
 fn rows_that_no_calibrated_rig_has_are_told() {
     let rig = scene::rectified_rig(SIZE);
@@ -268,13 +271,14 @@ fn rows_that_no_calibrated_rig_has_are_told() {
         |rows: u32| RgbImage::from_fn(SIZE.width, SIZE.height, |u, v| *right.get_pixel(u, v.saturating_sub(rows)));
     let region = Region::Rectangle { x: 312, y: 196, width: 80, height: 80 };
     let range = SearchRange::new(0.35, 0.8, 1.0).unwrap();
-    for (rows, is_told) in [(0, false), (1, false), (4, true)] {
+    let meter = RowMeter::new(&rig, Kernels::best()).unwrap();
+    for (rows, status, is_told) in [(0, Status::Ok, false), (1, Status::Ok, false), (4, Status::Miscalibrated, false)] {
         let right = lowered(rows);
-        let mut estimator = DirectEstimator::new(&rig, DirectConfig::default()).unwrap();
-        let measured = estimator.measure_rows(&left, &right).unwrap();
-        assert!((measured.rows.offset_px - f64::from(rows)).abs() < 0.1, "{measured:?}");
+        let measured = meter.measure(&left, &right, None).unwrap();
+        assert!((meter.centre_px(&measured) - f64::from(rows)).abs() < 0.1, "{measured:?}");
+        let mut estimator = Estimator::new(Method::Direct, &rig, &EstimatorConfig::default()).unwrap();
         let found = estimator.estimate(EstimateRequest::of_target(&left, &right, &region, &range)).unwrap();
-        assert_eq!(found.status, Status::Ok, "{}", found.reason);
+        assert_eq!(found.status, status, "{}", found.reason);
         let told = found.warnings.iter().any(|warning| matches!(warning, EstimateWarning::RowsOff { .. }));
         assert_eq!(told, is_told, "{rows}: {:?}", found.warnings);
     }

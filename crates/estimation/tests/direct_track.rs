@@ -112,6 +112,46 @@ fn steps_of_the_shared_exposure_keep_a_moving_target() {
     }
 }
 
+/// A colour camera beside one without colours: luminance is compared.
+#[test]
+fn one_camera_without_colours_is_followed_by_luminance() {
+    let rig = rectified_rig();
+    let grey = |image: &RgbImage| {
+        let mean = |rgb: [u8; 3]| (rgb.iter().map(|value| u32::from(*value)).sum::<u32>() / 3) as u8;
+        RgbImage::from_fn(image.width(), image.height(), |x, y| image::Rgb([mean(image.get_pixel(x, y).0); 3]))
+    };
+    let coloured = |image: &RgbImage| {
+        RgbImage::from_fn(image.width(), image.height(), |x, y| {
+            let [value, ..] = image.get_pixel(x, y).0;
+            let (red, blue) = if (x / 8 + y / 8) % 2 == 0 { (40, 0) } else { (0, 40) };
+            image::Rgb([value.saturating_add(red), value, value.saturating_add(blue)])
+        })
+    };
+    for grey_side in 0..2 {
+        let mut tracker =
+            DirectTracker::new(&rig, DirectConfig::default(), DirectTrackerConfig::default()).expect("tracker");
+        let shot = |frame: u32| {
+            let pose = moving(f64::from(frame) / 30.0);
+            let (left, right) = render(&rig, &Shot { cam_left_from_target: Some(pose), frame, right_gain: 0.9 });
+            let mut images = [coloured(&left), coloured(&right)];
+            images[grey_side] = grey(&images[grey_side]);
+            (pose, images)
+        };
+        let (first, [left, right]) = shot(0);
+        let start = tracker.start_from_plane(&left, &right, &region(&rig, &first), &plane(&first)).expect("start");
+        assert_eq!(start.status, Status::Ok, "{}", start.reason);
+        let target_from_model = first.inverse() * start.cam_left_from_model.expect("pose");
+        for frame in 1..6 {
+            let (pose, [left, right]) = shot(frame);
+            let prior = FramePrior { dt_s: Some(1.0 / 30.0), ..FramePrior::default() };
+            let found = tracker.estimate(EstimateRequest::of_next(&left, &right, &prior)).expect("update");
+            assert_eq!(found.status, Status::Ok, "side {grey_side}, frame {frame}: {}", found.reason);
+            let off = (pose * target_from_model).inverse() * found.cam_left_from_model.expect("a pose");
+            assert!(off.translation_m().norm() < 1e-3 && off.rotation_angle_rad() < 0.02, "{off:?}");
+        }
+    }
+}
+
 #[test]
 fn all_six_degrees_of_freedom_are_followed() {
     check_motion(rectified_rig(), 30.0, 12);

@@ -1,17 +1,21 @@
 //! Cameras that do not expose at once: the target moves between the two exposures of a pair.
 #![allow(clippy::expect_used, reason = "inputs that are valid")]
 
-use nalgebra::Vector3;
-use pb3dp_estimation_core::estimate::TrackEstimate;
+use nalgebra::{Point3, Vector3};
+use pb3dp_estimation::estimator::{EstimatorConfig, Method, Tracker};
+use pb3dp_estimation::skew_watch::{Skew, SkewWatch};
+use pb3dp_estimation_core::estimate::{EstimateWarning, TrackEstimate};
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, FramePrior};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_estimation_direct::estimator::DirectConfig;
 use pb3dp_estimation_track::{DirectTracker, DirectTrackerConfig};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Target};
 
-use crate::moving_plane::{Shot, general_rig, moving, region, render};
+use crate::moving_plane::{Shot, general_rig, moving, rectified_rig, region, render};
+use crate::painted;
 
 const FPS: f64 = 30.0;
 const FRAMES: u32 = 20;
@@ -66,4 +70,54 @@ fn the_motion_between_the_exposures_does_not_change_the_depth() {
         let beyond = known[1..].iter().filter(|[error, sigma]| error.abs() > 3.0 * sigma).count();
         assert!(beyond < 4, "{beyond} of {FRAMES} depths are off by more than three standard deviations");
     }
+}
+
+/// Grey waves on a disc of 60 mm, none a multiple of another.
+fn paint(x: f64, y: f64) -> Option<f64> {
+    let wave = |a: f64, b: f64, phase: f64| (a * x + b * y + phase).sin();
+    let grey =
+        118.0 + 26.0 * wave(190.0, 230.0, 0.3) + 26.0 * wave(-310.0, 170.0, 1.1) + 22.0 * wave(420.0, -250.0, 0.7);
+    (x.hypot(y) < 0.06).then_some(grey)
+}
+
+/// What the rows of a target tell that moves by up to 120 mm/s, up and down as well, and whose pairs state no skew.
+fn found(skew_s: f64) -> (Option<Skew>, Vec<EstimateWarning>) {
+    let rig = rectified_rig();
+    let at = |t_s: f64| -> Pose<CamLeft, Target> {
+        let turn = pb3dp_geometry::so3::exp(&Vector3::new(0.12, -0.2, 0.05 + 0.1 * t_s));
+        let swing = |size: f64, period_s: f64| size * (std::f64::consts::TAU * t_s / period_s).sin();
+        Pose::from_parts(Vector3::new(0.03 + swing(0.012, 0.9), swing(0.014, 0.7), 0.45), turn)
+    };
+    let mut tracker = Tracker::new(Method::Direct, &rig, &EstimatorConfig::default()).expect("tracker");
+    tracker.watch_skew(true).expect("a rig");
+    let range = SearchRange { z_min_m: 0.3, z_max_m: 0.7, tilt_max_rad: 0.8 };
+    let mut warnings = Vec::new();
+    for frame in 0..FRAMES {
+        let t_s = f64::from(frame) / FPS;
+        let (left, _) = painted::pair(&rig, &at(t_s), paint, 2 * frame);
+        let (_, right) = painted::pair(&rig, &at(t_s + skew_s), paint, 2 * frame + 1);
+        let centre = rig.left().project(&Point3::from(at(t_s).translation_m())).expect("in front");
+        let [x, y] = [centre.x, centre.y].map(|px| px as i32 - 36);
+        let region = Region::Rectangle { x, y, width: 72, height: 72 };
+        let prior = FramePrior { dt_s: Some(1.0 / FPS), ..FramePrior::default() };
+        let request = match frame {
+            0 => EstimateRequest::of_target(&left, &right, &region, &range),
+            _ => EstimateRequest::of_next(&left, &right, &prior),
+        };
+        warnings.extend(tracker.estimate(request).expect("valid images").warnings);
+    }
+    (tracker.skew().and_then(SkewWatch::skew), warnings)
+}
+
+#[test]
+fn a_skew_that_nobody_has_stated_is_found_in_the_rows() {
+    for skew_s in [8e-3, -8e-3] {
+        let (skew, warnings) = found(skew_s);
+        let Skew { skew_s: found_s, sigma_s } = skew.expect("a skew");
+        assert!((found_s - skew_s).abs() < 1e-3 && sigma_s < 1e-3, "{skew_s} s: {found_s} +- {sigma_s}");
+        assert!(warnings.iter().any(|warning| matches!(warning, EstimateWarning::Skewed { .. })), "{warnings:?}");
+    }
+    let (skew, warnings) = found(0.0);
+    let Skew { skew_s, sigma_s } = skew.expect("a skew");
+    assert!(skew_s.abs() < 1e-3 && sigma_s < 2e-3 && warnings.is_empty(), "{skew_s} +- {sigma_s}, {warnings:?}");
 }

@@ -47,7 +47,7 @@ fn answers(rig: &StereoRig, region: &Region, pairs: &[[ImageView<'_>; 2]]) -> Ve
     let mut answers = vec![format!("{:?}", check_pair(rig, left, right))];
     for method in Method::ALL {
         let mut estimator = Estimator::new(method, rig, &EstimatorConfig::default()).unwrap();
-        answers.push(format!("{method} {:?}", estimator.prepare(left, right)));
+        answers.push(format!("{method} {:?}", estimator.look(left, right)));
         answers.push(format!("{:?}", estimator.estimate(EstimateRequest::of_target(left, right, region, &range))));
         let mut tracker = Tracker::new(method, rig, &EstimatorConfig::default()).unwrap();
         answers.push(format!("{:?}", tracker.estimate(EstimateRequest::of_target(left, right, region, &range))));

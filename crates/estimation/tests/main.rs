@@ -32,6 +32,7 @@ mod published_track;
 mod published_track_safety;
 mod raw_rigs;
 mod rig_plan;
+mod rig_watch;
 mod robustness;
 mod shared_regions;
 mod small_targets;

@@ -11,8 +11,8 @@ use pb3dp_panel::PanelAddress;
 use pb3dp_record::dataset::TILT_LIMIT_DEG;
 use pb3dp_setup::layers::SetupArgs;
 use pb3dp_setup::region_spec::{REGION_HELP, RegionSpec};
-use pb3dp_wiring::RecordingOptions;
 use pb3dp_wiring::ReplayPace;
+use pb3dp_wiring::{RecordingOptions, TimedRecordingOptions};
 
 use crate::panel_access::{PANEL_ADDRESS, PanelAccess, parse_address};
 
@@ -127,8 +127,9 @@ impl MethodArgs {
 
 /// Meaning of the numbers of `pb3dp estimate --json`.
 const ESTIMATE_JSON: &str = "Lines of --json (one per case):
+  schema_version    number of the form of results; rises when a word or key gets another meaning or goes away
   case, method      their names
-  status            ok, weak-tilt, ambiguous, not-observable or error
+  status            ok, weak-tilt, ambiguous, miscalibrated, not-observable or error
   z_mm              depth of the plane on the ray of the region's centroid, millimetres, or null
   normal            3 numbers or null: unit normal of the plane along the axes of the left camera, towards the camera
   fitness           how well the images agree, at most 1, or null
@@ -152,6 +153,7 @@ const ESTIMATE_JSON: &str = "Lines of --json (one per case):
 #[derive(Debug, Args)]
 #[command(after_long_help = ESTIMATE_JSON, group = ArgGroup::new("images").required(true).args(["cases", "left", "sequence"]))]
 #[command(group = ArgGroup::new("of_recordings").multiple(true).args(["frame", "topics", "pair_within", "layout"]).conflicts_with_all(["cases", "left"]))]
+#[command(group = ArgGroup::new("of_calibrations").multiple(true).args(["calib_unit", "calib_size", "calib_lens", "rectified"]).conflicts_with("cases"))]
 #[command(group = ArgGroup::new("of_deep_images").args(["range"]).conflicts_with("cases"))]
 pub struct EstimateArgs {
     /// Every case folder (one with a case.json) under DIR; the format is described in docs/dataset-format.md.
@@ -196,10 +198,11 @@ pub struct EstimateArgs {
 /// Meaning of the numbers of `pb3dp track --json`.
 const TRACK_JSON: &str =
     "Lines of --json (one per frame; one per frame and target, with the key `target`, if there are several):
+  schema_version       number of the form of results; rises when a word or key gets another meaning or goes away
   frame                counts from 0
   target               only if there are several: 0 is the target of the sequence, then those of --region in their order
   t_s                  mid-exposure, seconds
-  status               ok, weak-tilt, partly-observed, ambiguous, not-observable, lost or error
+  status               ok, weak-tilt, partly-observed, ambiguous, miscalibrated, not-observable, lost or error
   cam_left_from_model  16 numbers, row by row, millimetres: maps the model's coordinates to the left camera's
   covariance           36 numbers, row by row, or null: of xi = (x, y, z in mm, then a rotation vector in radians), both
                        along the axes of the model, with true pose = cam_left_from_model * exp(xi);
@@ -224,7 +227,7 @@ pub struct TrackArgs {
     pub calib: Vec<PathBuf>,
     /// What the recording does not state itself.
     #[command(flatten)]
-    pub recording: RecordingOptions,
+    pub recording: TimedRecordingOptions,
     /// Process frames as fast as possible, or at the times of the recording.
     #[arg(long, value_enum, default_value = "fast")]
     pub pace: ReplayPace,

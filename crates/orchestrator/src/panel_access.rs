@@ -1,6 +1,5 @@
 //! Who may use the panel: this computer alone, or others with a token and encryption.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
@@ -8,6 +7,7 @@ use clap::Args;
 use pb3dp_cell::terminal::print_line;
 use pb3dp_hal_platform::key_file::read_key;
 use pb3dp_panel::{Certificate, Panel, PanelAddress, PanelConfig, Protection, TlsFiles};
+use pb3dp_record::text_file::read_text;
 
 /// Address of the panel: this computer only.
 pub const PANEL_ADDRESS: &str = "127.0.0.1:8087";
@@ -58,7 +58,7 @@ impl PanelAccess {
     fn certificate(&self) -> Result<Certificate> {
         let (Some(certificate), Some(key)) = (&self.certificate, &self.key) else { return Ok(Certificate::Own) };
         let read = |option, file: &Path| {
-            fs::read_to_string(file).with_context(|| format!("{option} {}: cannot be read", file.display()))
+            read_text(file).with_context(|| format!("{option} {}: cannot be read", file.display()))
         };
         let (certificate_pem, key_pem) = (read("--panel-certificate", certificate)?, read("--panel-key", key)?);
         Ok(Certificate::Given(TlsFiles { certificate_pem, key_pem }))
@@ -102,6 +102,8 @@ mod tests {
     use std::os::unix::fs::PermissionsExt;
 
     use pb3dp_hal_platform::key_file::write_new_key;
+
+    use std::fs;
 
     use super::*;
 

@@ -103,13 +103,14 @@ fn why(estimate: &TrackEstimate) -> String {
         Status::PartlyObserved => {
             format!("{reason}; choose a part with texture in all directions if the hand is to follow these, too")
         }
+        Status::WeakDepth => format!("the depth is not determined: {reason}; choose a larger part with more texture"),
         Status::Ambiguous => format!(
             "two or more poses explain the images equally well: {reason}; choose a larger part, or one without a repeated pattern"
         ),
         Status::NotObservable => {
             format!("the pose cannot be determined: {reason}; choose a part with more texture that both cameras see")
         }
-        Status::Lost | Status::Error => reason.clone(),
+        Status::Miscalibrated | Status::Lost | Status::Error => reason.clone(),
     };
     let warnings = estimate.warnings.iter().map(ToString::to_string);
     let lines = std::iter::once(line).filter(|line| !line.is_empty()).chain(warnings);

@@ -33,7 +33,8 @@ pub const SWAP: &str = "swap left and right";
 
 /// Estimates the pose of a region in single stereo pairs.
 ///
-/// The first pair is checked against the calibration, and the vertical misalignment of the cameras is measured on it, as in the program.
+/// Every pair is compared with the calibration, as in the program: what its rows show is corrected, and if they contradict it, the status is
+/// `miscalibrated`.
 /// An estimator can be used by several threads; its calls wait for each other.
 #[pyclass(frozen, module = "pb3dp")]
 pub struct Estimator {
@@ -49,19 +50,16 @@ struct State {
     inner: Inner,
     value_range: Option<ValueRange>,
     is_checked: bool,
-    is_measured: bool,
 }
 
 impl State {
-    /// Checks the first pair, and measures the rig on the first pair that allows it; returns a doubt about the calibration.
+    /// Compares a pair with the calibration; returns a doubt about the first one.
     fn prepare(&mut self, rig: &Rig, left: ImageView<'_>, right: ImageView<'_>) -> Result<Option<String>> {
         let mut doubt = None;
         if !self.is_checked {
             doubt = check_pair(rig, left, right).accepted().context(SWAP)?;
         }
-        if !self.is_measured {
-            self.is_measured = self.inner.prepare(left, right)?.is_none_or(|measured| !measured.rows.is_zero());
-        }
+        self.inner.look(left, right)?;
         self.is_checked = true;
         Ok(doubt)
     }
@@ -135,7 +133,7 @@ impl Estimator {
         let asked = Asked { method, z_range_m, tilt_max_rad, config, seed, value_range };
         let made = Settings::of(asked, rig.rig()).and_then(|settings| {
             let inner = Inner::new(settings.method, rig.rig(), &settings.config)?;
-            let state = State { inner, value_range: settings.value_range, is_checked: false, is_measured: false };
+            let state = State { inner, value_range: settings.value_range, is_checked: false };
             Ok(Self {
                 rig: *rig.rig(),
                 term: rig.term().cloned(),

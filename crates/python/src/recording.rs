@@ -9,7 +9,10 @@ use numpy::{PyArray1, PyArray3, PyArrayMethods};
 use pb3dp_cell::search_range::range_of_dataset;
 use pb3dp_hal_api::{FramePair, StereoCamera};
 use pb3dp_record::value_range::ValueRange;
-use pb3dp_wiring::{Recording as Inner, RecordingOptions, ReplayPace, Topics, wire_replay};
+use pb3dp_wiring::{
+    CalibrationOptions, PairsPerSecond, Recording as Inner, RecordingOptions, ReplayPace, SkewMillis, Topics,
+    wire_replay,
+};
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 
@@ -17,7 +20,7 @@ use crate::arrays;
 use crate::errors::{OrRaise, of_type};
 use crate::images::array_of;
 use crate::region::Region;
-use crate::rig::StereoRig;
+use crate::rig::{StereoRig, stated};
 use crate::wording::in_python;
 
 /// A replay does not wait for images: this time-out should never expire.
@@ -95,7 +98,15 @@ fn options(
     topics: Option<[String; 2]>,
     pair_within_ms: f64,
     value_range: Option<(u16, u16)>,
+    (skew_ms, rate_hz): (Option<f64>, Option<f64>),
+    calibration: CalibrationOptions,
 ) -> Result<RecordingOptions> {
+    if let Some(skew_ms) = skew_ms.filter(|skew_ms| !(-SkewMillis::MAX..=SkewMillis::MAX).contains(skew_ms)) {
+        bail!("skew_ms is {skew_ms}: must be between -{0} and {0} milliseconds", SkewMillis::MAX);
+    }
+    if let Some(rate_hz) = rate_hz.filter(|rate_hz| !(0.01..=10_000.0).contains(rate_hz)) {
+        bail!("rate_hz is {rate_hz}: must be between 0.01 and 10000 pairs per second");
+    }
     if !(0.0..=1000.0).contains(&pair_within_ms) {
         bail!("pair_within_ms is {pair_within_ms}: must be between 0 and 1000 milliseconds");
     }
@@ -108,6 +119,9 @@ fn options(
         pair_within: Duration::from_secs_f64(pair_within_ms * 1e-3),
         range: value_range.map(of_values).transpose()?,
         layout: None,
+        skew: skew_ms.map(SkewMillis),
+        rate: rate_hz.map(PairsPerSecond),
+        calibration,
     })
 }
 
@@ -125,8 +139,11 @@ impl Recording {
     /// `calibration`: a calibration file or a list of files, as in `StereoRig.load`, instead of that of the recording. `topics`: those of the left and the right
     /// images in an MCAP file; by default two that differ only in left and right. `pair_within_ms`: the longest time between the images of a
     /// pair. `value_range`: the values that become black and white in images with 16 bits; measured on the first pair by default.
+    /// `skew_ms`: middle of the right exposure minus middle of the left one in every pair. `rate_hz`: pairs per second, if the recording has no
+    /// times. `calibration_unit`, `calibrated_size`, `lens` and `rectified` are those of `StereoRig.load`.
     #[new]
-    #[pyo3(signature = (path, *, calibration=None, topics=None, pair_within_ms=3.0, value_range=None))]
+    #[pyo3(signature = (path, *, calibration=None, topics=None, pair_within_ms=3.0, value_range=None, skew_ms=None, rate_hz=None, calibration_unit=None, calibrated_size=None, lens=None, rectified=false))]
+    #[expect(clippy::too_many_arguments, reason = "keywords of Python")]
     fn new(
         py: Python<'_>,
         path: PathBuf,
@@ -134,9 +151,16 @@ impl Recording {
         topics: Option<[String; 2]>,
         pair_within_ms: f64,
         value_range: Option<(u16, u16)>,
+        skew_ms: Option<f64>,
+        rate_hz: Option<f64>,
+        calibration_unit: Option<&str>,
+        calibrated_size: Option<(u32, u32)>,
+        lens: Option<&str>,
+        rectified: bool,
     ) -> PyResult<Self> {
         let calibration = Calibration::files(calibration).or_raise(py)?;
-        let options = options(topics, pair_within_ms, value_range).or_raise(py)?;
+        let stated = stated(calibration_unit, calibrated_size, lens, rectified).or_raise(py)?;
+        let options = options(topics, pair_within_ms, value_range, (skew_ms, rate_hz), stated).or_raise(py)?;
         let opened = py.detach(|| wire_replay(&path, &calibration, &options, ReplayPace::Fast)).or_raise(py)?;
         let calibration = opened.camera.calibration().clone();
         let range = opened.search.as_ref().map(range_of_dataset);

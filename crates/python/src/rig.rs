@@ -8,7 +8,8 @@ use numpy::{PyArray1, PyArray2, PyReadonlyArray2};
 use pb3dp_cell::calibration_share::{not_reported, term_of};
 use pb3dp_estimation::calibration_term::CalibrationTerm;
 use pb3dp_geometry::{Camera, Distortion, ImageSize, StereoRig as Rig};
-use pb3dp_record::calibration_files::{StereoCalibration, load_stereo, load_stereo_for};
+use pb3dp_record::calibration_files::{StereoCalibration, load_stated};
+use pb3dp_wiring::CalibrationOptions;
 use pyo3::prelude::*;
 
 use crate::arrays;
@@ -28,7 +29,7 @@ pub struct StereoRig {
 impl StereoRig {
     /// A calibration from a recording.
     pub fn new(calibration: StereoCalibration) -> Self {
-        let mut notes = calibration.notes.clone();
+        let mut notes = [&calibration.notes[..], &calibration.warnings].concat();
         let term = term_of(&calibration).unwrap_or_else(|error| {
             notes.push(not_reported(&calibration.source, &error));
             None
@@ -47,6 +48,24 @@ impl StereoRig {
     }
 }
 
+/// What a caller states about a calibration.
+///
+/// # Errors
+/// A word that is no unit or no lens model.
+pub fn stated(
+    unit: Option<&str>,
+    size: Option<(u32, u32)>,
+    lens: Option<&str>,
+    rectified: bool,
+) -> anyhow::Result<CalibrationOptions> {
+    Ok(CalibrationOptions {
+        calib_unit: unit.map(str::parse).transpose().map_err(|error| anyhow!("calibration_unit: {error}"))?,
+        calib_size: size.map(|(width, height)| ImageSize { width, height }),
+        calib_lens: lens.map(str::parse).transpose().map_err(|error| anyhow!("lens: {error}"))?,
+        rectified,
+    })
+}
+
 /// Names and covariance of numbers.
 type NamedCovariance<'py> = (Vec<String>, Bound<'py, PyArray2<f64>>);
 
@@ -55,14 +74,23 @@ impl StereoRig {
     /// Loads a calibration: the file of `pb3dp calibrate`, `calib.json`, a Kalibr camchain, an OpenCV stereo YAML or its two files, two ROS
     /// `camera_info` files (left, right), or a folder that contains them. The format is detected from the contents.
     ///
-    /// `image_size` is (width, height) in pixels, for files that do not state it (OpenCV).
+    /// For files that leave something unstated: `image_size` is (width, height) of the images in pixels; `calibration_unit` the unit of length of
+    /// an OpenCV file, "mm", "cm" or "m"; `calibrated_size` the (width, height) that the calibration was made with, from which it is scaled to
+    /// `image_size`; `lens` the model of four coefficients, "brown" or "equidistant". `rectified=True`: the images are rectified already.
     #[staticmethod]
-    #[pyo3(signature = (*paths, image_size=None))]
-    fn load(py: Python<'_>, paths: Vec<PathBuf>, image_size: Option<(u32, u32)>) -> PyResult<Self> {
-        let loaded = py.detach(|| match image_size {
-            Some((width, height)) => load_stereo_for(&paths, ImageSize { width, height }),
-            None => load_stereo(&paths),
-        });
+    #[pyo3(signature = (*paths, image_size=None, calibration_unit=None, calibrated_size=None, lens=None, rectified=false))]
+    fn load(
+        py: Python<'_>,
+        paths: Vec<PathBuf>,
+        image_size: Option<(u32, u32)>,
+        calibration_unit: Option<&str>,
+        calibrated_size: Option<(u32, u32)>,
+        lens: Option<&str>,
+        rectified: bool,
+    ) -> PyResult<Self> {
+        let stated = stated(calibration_unit, calibrated_size, lens, rectified).or_raise(py)?.stated();
+        let images = image_size.map(|(width, height)| ImageSize { width, height });
+        let loaded = py.detach(|| load_stated(&paths, images, &stated)?.decided());
         Ok(Self::new(loaded.or_raise(py)?))
     }
 

@@ -42,7 +42,8 @@ impl TrackEstimate {
 
 #[pymethods]
 impl TrackEstimate {
-    /// `ok`, `weak-tilt`, `partly-observed`, `ambiguous`, `not-observable` or `lost`.
+    /// `ok`, `weak-tilt`, `partly-observed`, `ambiguous`, `miscalibrated`, `not-observable` or `lost`; treat a word
+    /// that you do not know as not `ok`.
     #[getter]
     fn status(&self) -> &'static str {
         self.estimate.status.as_str()

@@ -62,7 +62,8 @@ impl Tracker {
         let asked = Asked { method, z_range_m, tilt_max_rad, config, seed, value_range };
         let made = Settings::of(asked, rig.rig()).and_then(|settings| {
             let tracker = Inner::new(settings.method, rig.rig(), &settings.config)?;
-            let follower = Follower::new(tracker, settings.range);
+            let mut follower = Follower::new(tracker, settings.range);
+            follower.watch_skew(true)?;
             let shares = TrackShares::new(*rig.rig(), rig.term().cloned(), 1);
             let state = State { follower, shares, value_range: settings.value_range, is_checked: false, last_at: None };
             Ok(Self { rig: *rig.rig(), method: settings.method, state: Mutex::new(state) })
@@ -75,9 +76,10 @@ impl Tracker {
     /// `left` and `right`: as in `Estimator.estimate`. `region`: marks the target; needed with the first pair, later it marks another target.
     /// `time_ns`: the middle of the exposure, nanoseconds on any clock; without it the pairs are taken as equally spaced. `deadline_ms`: after
     /// this CPU time the best estimate so far is returned. `cam_left_prev_from_cam_left_now`: the motion of the left camera since the previous
-    /// pair, 4x4, metres, if an arm knows it. `skew_ns`: middle of the right exposure minus middle of the left one, if the cameras did not
-    /// expose at once; the tracker takes out the target's motion in it (needs `time_ns`).
-    #[pyo3(signature = (left, right, region=None, *, time_ns=None, deadline_ms=None, cam_left_prev_from_cam_left_now=None, skew_ns=0))]
+    /// pair, 4x4, metres, if an arm knows it. `skew_ns`: middle of the right exposure minus middle of the left one; the
+    /// tracker takes out the target's motion in it (needs `time_ns`). 0: both at once. None: not known; the tracker looks for it in the motion,
+    /// and warns of what it finds, or of what an unknown one may cost.
+    #[pyo3(signature = (left, right, region=None, *, time_ns=None, deadline_ms=None, cam_left_prev_from_cam_left_now=None, skew_ns=None))]
     #[allow(clippy::too_many_arguments, reason = "keywords of Python")]
     fn track(
         &self,
@@ -88,7 +90,7 @@ impl Tracker {
         time_ns: Option<u64>,
         deadline_ms: Option<f64>,
         cam_left_prev_from_cam_left_now: Option<PyReadonlyArray2<'_, f64>>,
-        skew_ns: i64,
+        skew_ns: Option<i64>,
     ) -> PyResult<TrackEstimate> {
         let region = region.map(Region::of).transpose().or_raise(py)?.map(Bound::get);
         let given = Given::of("left", left).and_then(|left| Ok([left, Given::of("right", right)?])).or_raise(py)?;
@@ -102,6 +104,9 @@ impl Tracker {
             let mut range = state.value_range;
             let found = with_views(pixels, &mut range, |left, right| {
                 let mut warning = None;
+                if skew_ns.is_some() {
+                    state.follower.watch_skew(false)?;
+                }
                 if !state.is_checked {
                     warning = check_pair(&self.rig, left, right).accepted().context(SWAP)?;
                     state.is_checked = true;
@@ -112,7 +117,7 @@ impl Tracker {
                 let before = std::mem::replace(&mut state.last_at, at);
                 let prior = FramePrior {
                     dt_s: at.zip(before).map(|(at, before)| at.seconds_since(before)),
-                    skew_s: skew_ns as f64 * 1e-9,
+                    skew_s: skew_ns.unwrap_or(0) as f64 * 1e-9,
                     ..FramePrior::of_motion(motion.as_ref())
                 };
                 let (estimate, millis) = timed(|| {

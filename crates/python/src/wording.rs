@@ -1,12 +1,23 @@
 //! Messages of the library name options of the program; the package names its own arguments instead.
 
 /// Options in messages, and the arguments in their place. An option with its value comes before the same one without.
-const ARGUMENTS: [(&str, &str); 12] = [
+const ARGUMENTS: [(&str, &str); 23] = [
     ("--topics LEFT,RIGHT", "topics=(LEFT, RIGHT)"),
     ("--range LOW,HIGH", "value_range=(LOW, HIGH)"),
     ("--calib FILE", "calibration=[FILE]"),
     ("--calib", "calibration=[FILE]"),
+    ("--calib-unit mm", "calibration_unit=\"mm\""),
+    ("--calib-unit cm", "calibration_unit=\"cm\""),
+    ("--calib-unit m", "calibration_unit=\"m\""),
+    ("--calib-unit", "calibration_unit"),
+    ("--calib-size", "calibrated_size"),
+    ("--calib-lens brown", "lens=\"brown\""),
+    ("--calib-lens equidistant", "lens=\"equidistant\""),
+    ("--calib-lens", "lens"),
+    ("--rectified", "rectified=True"),
     ("--pair-within", "pair_within_ms"),
+    ("--skew", "skew_ns"),
+    ("--rate", "rate_hz"),
     ("--range", "value_range"),
     ("--z-range", "z_range_m"),
     ("--tilt-max", "tilt_max_rad"),

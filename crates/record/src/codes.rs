@@ -16,6 +16,7 @@ codes! {
         Format = "PB3DP-CAL-006": "The file is not a stereo calibration in a known format."; "Use a Kalibr camchain, an OpenCV stereo YAML, two ROS camera_info files, calib.json or a file of `pb3dp calibrate`.";
         Directory = "PB3DP-CAL-007": "The folder contains no calibration under a known name."; "Name the calibration file itself.";
         Paths = "PB3DP-CAL-008": "Too few or too many calibration files were named."; "Name one file, a left and a right one separated by a comma, or a folder.";
+        Stated = "PB3DP-CAL-010": "What an option states of a calibration is missing, or contradicts the file."; "Do what the message says: state the option, or leave it out.";
         NotRepresentable = "PB3DP-CAL-009": "The format cannot hold this calibration."; "Choose another format: the TOML of `pb3dp calibrate` holds every calibration.";
     }
 }
@@ -46,5 +47,6 @@ codes! {
         Transparent = "PB3DP-IMG-008": "Some pixels are transparent and have no colour."; "Remove the alpha channel.";
         TooLarge = "PB3DP-IMG-010": "The image has more pixels than can be read."; "Scale the images and the calibration by the same factor.";
         NotDisparity = "PB3DP-IMG-009": "A disparity map must be a 16-bit grey image."; "Write it as a 16-bit grey PNG.";
+        Refused = "PB3DP-IMG-011": "The path is a named pipe, a socket or a device, or the file is too large."; "Name a regular file with the image.";
     }
 }

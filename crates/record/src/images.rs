@@ -4,7 +4,7 @@
 //! channels. Images with 16 bits per channel need a [`ValueRange`]. Transparent pixels are refused, because they have no colour.
 
 use std::fmt;
-use std::io::Cursor;
+use std::io::{BufReader, Cursor};
 use std::path::{Path, PathBuf};
 
 use image::codecs::jpeg::JpegEncoder;
@@ -12,11 +12,14 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{DynamicImage, ImageEncoder, ImageFormat, ImageReader, RgbImage};
 use pb3dp_geometry::ImageSize;
 
-use crate::text_file::check_regular;
+use crate::regular_file::{RefusedFile, open_regular, read_regular};
 use crate::value_range::{DeepImage, ValueRange, range_of_pair};
 
 /// Largest number of pixels of an image that is read. Chosen: 300 MB in memory; sensors of machine vision have up to 65 million pixels.
 pub const PIXELS_MAX: u64 = 100_000_000;
+
+/// Largest image file that is read, bytes. Chosen: [`PIXELS_MAX`] pixels of four channels with 16 bits need 0.8 GB without compression.
+pub const FILE_MAX_BYTES: u64 = 1 << 30;
 
 /// Formats of images that are read.
 const FORMATS: [ImageFormat; 6] =
@@ -44,6 +47,8 @@ pub enum ImageProblem {
     Missing,
     /// The path is a folder.
     Folder,
+    /// The file is a named pipe, for example, or too large.
+    Refused(RefusedFile),
     /// The file cannot be read or written.
     Io,
     /// No image in a known format.
@@ -83,6 +88,7 @@ impl fmt::Display for ImageProblem {
         match self {
             Self::Missing => write!(f, "no such file; check the name and the folder"),
             Self::Folder => write!(f, "is a folder; name the image file in it"),
+            Self::Refused(refused) => refused.fmt(f),
             Self::Io => write!(f, "cannot be read or written; check permissions and free space"),
             Self::UnknownFormat => write!(f, "not PNG, JPEG, TIFF, BMP, PGM, PPM or WebP; convert it"),
             Self::Damaged => write!(f, "truncated or damaged; copy or record it again"),
@@ -126,8 +132,11 @@ impl ImageFileError {
         match source.kind() {
             // The system error would only repeat the message.
             std::io::ErrorKind::NotFound => Self::new(file, ImageProblem::Missing),
-            _ if file.is_dir() => Self::new(file, ImageProblem::Folder),
-            _ => Self::caused_by(file, ImageProblem::Io, source),
+            std::io::ErrorKind::IsADirectory => Self::new(file, ImageProblem::Folder),
+            _ => match RefusedFile::of(&source) {
+                Some(refused) => Self::new(file, ImageProblem::Refused(refused.clone())),
+                None => Self::caused_by(file, ImageProblem::Io, source),
+            },
         }
     }
 }
@@ -257,13 +266,12 @@ pub fn load_rgb_of_size(file: &Path, expected: ImageSize, because_of: &str) -> R
     Ok(image)
 }
 
-/// Checks the size of the image in a file before it is decoded: a pipe is not opened, and a large image costs no time.
+/// Checks the size of the image in a file before it is decoded: a large image costs no time.
 ///
 /// # Errors
 /// A file that is not regular or has no such image, and [`ImageProblem::Size`], with `because_of` as the source of the requirement.
 pub fn check_header(file: &Path, expected: ImageSize, because_of: &str) -> Result<(), ImageFileError> {
-    check_regular(file, u64::MAX).map_err(|error| ImageFileError::io(file, error))?;
-    let header = ImageReader::open(file).and_then(ImageReader::with_guessed_format);
+    let header = open_regular(file).and_then(|opened| ImageReader::new(BufReader::new(opened)).with_guessed_format());
     let header = header.map_err(|error| ImageFileError::io(file, error))?;
     // Every other problem of the header is found when the image is decoded.
     let Ok((width, height)) = header.into_dimensions() else { return Ok(()) };
@@ -285,15 +293,14 @@ pub fn check_size(
     Err(ImageFileError::new(file, ImageProblem::Size { found, expected, because_of: because_of.to_owned() }))
 }
 
+/// Size of the image in an image file in memory, from its header; `None` if it has none.
+pub fn size_in_header(bytes: &[u8]) -> Option<ImageSize> {
+    let header = ImageReader::new(Cursor::new(bytes)).with_guessed_format().ok()?;
+    header.into_dimensions().ok().map(|(width, height)| ImageSize { width, height })
+}
+
 fn decode(file: &Path) -> Result<DynamicImage, ImageFileError> {
-    let header = ImageReader::open(file).and_then(ImageReader::with_guessed_format);
-    // Every other problem of the header is found below.
-    if let Some((width, height)) = header.ok().and_then(|header| header.into_dimensions().ok())
-        && u64::from(width) * u64::from(height) > PIXELS_MAX
-    {
-        return Err(ImageFileError::new(file, ImageProblem::TooLarge { found: ImageSize { width, height } }));
-    }
-    let bytes = std::fs::read(file).map_err(|e| ImageFileError::io(file, e))?;
+    let bytes = read_regular(file, FILE_MAX_BYTES).map_err(|e| ImageFileError::io(file, e))?;
     decode_bytes(file, &bytes)
 }
 
@@ -307,6 +314,13 @@ fn decode_bytes(file: &Path, bytes: &[u8]) -> Result<DynamicImage, ImageFileErro
         }
         Some(format) if FORMATS.contains(&format) => {}
         _ => return Err(ImageFileError::new(file, ImageProblem::UnknownFormat)),
+    }
+    // Every other problem of the header is found by the decoder.
+    match size_in_header(bytes) {
+        Some(found) if u64::from(found.width) * u64::from(found.height) > PIXELS_MAX => {
+            return Err(ImageFileError::new(file, ImageProblem::TooLarge { found }));
+        }
+        _ => {}
     }
     reader.decode().map_err(|e| ImageFileError::caused_by(file, ImageProblem::Damaged, e))
 }
@@ -450,22 +464,27 @@ mod tests {
     }
 
     #[test]
-    fn the_size_is_checked_before_an_image_is_decoded_and_a_pipe_is_not_opened() {
+    fn the_size_is_checked_before_an_image_is_decoded() {
         let folder = tempfile::tempdir().unwrap();
         let size = ImageSize { width: 64, height: 48 };
-        let told = |file: &Path| {
-            let error = check_header(file, size, "the left image").unwrap_err();
-            let source = std::error::Error::source(&error).map(ToString::to_string);
-            format!("{error}: {}", source.unwrap_or_default())
-        };
-        let pipe = folder.path().join("pipe.png");
-        rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, rustix::fs::Mode::RUSR).unwrap();
-        assert!(told(&pipe).contains("no regular file"), "{}", told(&pipe));
+        let told = |file: &Path| check_header(file, size, "the left image").unwrap_err().to_string();
         let large = folder.path().join("large.png");
         RgbImage::new(100, 80).save(&large).unwrap();
         // Only the header is left.
         std::fs::File::options().write(true).open(&large).unwrap().set_len(64).unwrap();
         assert!(told(&large).contains("100x80 pixels, but the left image has 64x48"), "{}", told(&large));
+    }
+
+    #[test]
+    fn only_regular_files_are_loaded_and_nothing_blocks() {
+        let folder = tempfile::tempdir().unwrap();
+        let (pipe, device) = (folder.path().join("pipe.png"), folder.path().join("zero.png"));
+        rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, rustix::fs::Mode::RUSR).unwrap();
+        std::os::unix::fs::symlink("/dev/zero", &device).unwrap();
+        for (file, what) in [(&pipe, "pipe.png: it is a named pipe (FIFO)"), (&device, "zero.png: it is a device")] {
+            let error = StoredImage::load(file).unwrap_err();
+            assert!(matches!(error.problem, ImageProblem::Refused(_)) && error.to_string().contains(what), "{error}");
+        }
     }
 
     #[test]
@@ -501,10 +520,12 @@ mod tests {
         let mut header = png::Encoder::new(file, 20_000, 5_001).write_header().unwrap();
         header.write_chunk(png::chunk::IDAT, &[0; 100]).unwrap();
         drop(header);
-        let error = load_rgb(&large).unwrap_err();
-        assert_eq!(error.problem, ImageProblem::TooLarge { found: ImageSize { width: 20_000, height: 5_001 } });
-        let text = error.to_string();
-        assert!(text.contains("too large: 20000x5001 pixels, at most 100 million"), "{text}");
+        let in_memory = StoredImage::parse(Path::new("/left/compressed"), &std::fs::read(&large).unwrap());
+        for error in [load_rgb(&large).unwrap_err(), in_memory.unwrap_err()] {
+            assert_eq!(error.problem, ImageProblem::TooLarge { found: ImageSize { width: 20_000, height: 5_001 } });
+            let text = error.to_string();
+            assert!(text.contains("too large: 20000x5001 pixels, at most 100 million"), "{text}");
+        }
     }
 
     #[test]

@@ -10,6 +10,7 @@
 //! * [`plain_zero`]: display of numbers without negative zero;
 //! * [`point_cloud`]: coloured surface points as PLY;
 //! * [`stops`]: arm poses recorded with images, and poses to visit;
+//! * [`regular_file`]: regular files only, up to a size;
 //! * [`report`]: self-contained HTML reports with SVG plots;
 //! * [`unique_json`]: JSON in which no key is repeated;
 //! * [`value_range`]: images with more than 8 bits per channel.
@@ -29,6 +30,7 @@ pub mod parquet_table;
 pub mod plain_zero;
 pub mod point_cloud;
 pub mod recorded_exposure;
+pub mod regular_file;
 pub mod report;
 pub mod text_file;
 pub mod unique_json;

@@ -8,8 +8,9 @@ use std::path::{Path, PathBuf};
 use nalgebra::Vector3;
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig, so3};
 use pb3dp_record::calibration_files::{
-    CalibrationFileError, CalibrationFormat, CameraIdentity, Judgement, StereoCalibration, load_stereo,
-    load_stereo_for, parse_euroc, save_json, save_judged, save_kalibr, save_opencv, save_ros_pair,
+    CalibrationFileError, CalibrationFormat, CameraIdentity, Judgement, LengthUnit, LensModel, StatedCalibration,
+    StereoCalibration, load_stated, load_stereo, load_stereo_for, parse_euroc, parse_ros_pair, save_json, save_judged,
+    save_kalibr, save_opencv, save_ros_pair,
 };
 use proptest::prelude::*;
 
@@ -45,13 +46,15 @@ fn difference(a: &StereoRig, b: &StereoRig) -> f64 {
     worst.max((a.to_homogeneous() - b.to_homogeneous()).amax())
 }
 
+const MILLIMETRES: StatedCalibration =
+    StatedCalibration { unit: Some(LengthUnit::Millimetres), size: None, lens: None, rectified: false };
+
 #[test]
 fn file_written_by_opencv_is_read() {
-    let calibration = load_stereo(&[data("opencv_4_14_stereo.yaml")]).unwrap();
+    let calibration = load_stated(&[data("opencv_4_14_stereo.yaml")], None, &MILLIMETRES).unwrap();
     assert_eq!(calibration.format, CalibrationFormat::OpenCv);
     assert!(difference(&calibration.rig, &rig([FIVE, EIGHT])) < 1e-14);
-    assert_eq!(calibration.notes.len(), 1, "{:?}", calibration.notes);
-    assert!(calibration.notes[0].contains("millimetres are assumed"), "{:?}", calibration.notes);
+    assert!(calibration.notes.is_empty() && calibration.warnings.is_empty(), "{calibration:?}");
     assert!(calibration.source.ends_with("opencv_4_14_stereo.yaml"));
 }
 
@@ -153,7 +156,7 @@ fn other_spellings_of_opencv_files_are_read() {
         .replace("image_width: 640\nimage_height: 480", "imageSize: [640, 480]\nunits: mm");
     let calibration = load_texts(&[("stereo.yml", &spelled)]).unwrap();
     assert!(difference(&calibration.rig, &rig([FIVE, EIGHT])) < 1e-14);
-    assert_eq!(calibration.notes, Vec::<String>::new(), "the unit is stated");
+    assert_eq!(calibration.warnings, Vec::<String>::new(), "the unit is stated");
     // Split as in OpenCV's stereo sample, and in metres.
     let cut = text.find("R: !!").unwrap();
     let extrinsics =
@@ -167,7 +170,7 @@ fn other_spellings_of_opencv_files_are_read() {
     save_judged(&rig([FIVE, EIGHT]), &judgement(), &directory.path().join("calibration.toml")).unwrap();
     assert_eq!(load_stereo(&folder).unwrap().format, CalibrationFormat::Judged);
     assert!(difference(&calibration.rig, &rig([FIVE, EIGHT])) < 1e-14);
-    assert!(calibration.notes[0].contains("metres are assumed"));
+    assert!(calibration.warnings[0].contains("m is used, because the baseline is then 98.5 mm"), "{calibration:?}");
 }
 
 /// A judgement with unknown contents.
@@ -344,16 +347,204 @@ proptest! {
 #[test]
 fn the_two_files_of_opencvs_stereo_sample_get_their_size_from_the_images() {
     let text = std::fs::read_to_string(data("opencv_4_14_stereo.yaml")).unwrap();
-    let whole = load_stereo(&[data("opencv_4_14_stereo.yaml")]).unwrap();
+    let whole = load_stated(&[data("opencv_4_14_stereo.yaml")], None, &MILLIMETRES).unwrap();
     let size = whole.rig.left().size();
     let sizeless: String = text.lines().filter(|l| !l.contains("image_")).map(|l| format!("{l}\n")).collect();
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("stereo.yml");
-    std::fs::write(&file, sizeless).unwrap();
+    std::fs::write(&file, sizeless + "units: mm\n").unwrap();
     let read = load_stereo_for(std::slice::from_ref(&file), size).unwrap();
     assert_eq!(read.rig, whole.rig);
-    assert!(read.notes.iter().any(|note| note.contains("image size")), "{:?}", read.notes);
-    assert!(load_stereo(&[file]).unwrap_err().to_string().contains("image_width"));
+    assert!(read.warnings.iter().any(|warning| warning.contains("image size")), "{:?}", read.warnings);
+    let missing = load_stereo(std::slice::from_ref(&file)).unwrap_err().to_string();
+    assert!(missing.contains("image_width") && missing.contains("--calib-size WxH"), "{missing}");
+    // Images of half the size: the principal point is in their corner.
+    let half = ImageSize { width: 320, height: 240 };
+    let refused = load_stereo_for(std::slice::from_ref(&file), half).unwrap_err().to_string();
+    assert!(refused.contains("--calib-size 640x480"), "{refused}");
+    let stated = StatedCalibration { size: Some(size), ..StatedCalibration::default() };
+    let scaled = load_stated(std::slice::from_ref(&file), Some(half), &stated).unwrap();
+    let (left, of_whole) = (scaled.rig.left(), whole.rig.left());
+    assert_eq!((left.size(), left.distortion()), (half, of_whole.distortion()));
+    let Pinhole { fx, fy, cx, cy } = *of_whole.pinhole();
+    let expected = Pinhole { fx: 0.5 * fx, fy: 0.5 * fy, cx: 0.5 * (cx + 0.5) - 0.5, cy: 0.5 * (cy + 0.5) - 0.5 };
+    assert_eq!(*left.pinhole(), expected);
+    let cut = load_stated(&[file], Some(ImageSize { width: 320, height: 200 }), &stated).unwrap_err().to_string();
+    assert!(cut.contains("--calib-size 640x480") && cut.contains("cut off"), "{cut}");
+}
+
+/// An OpenCV file of a pair of cameras side by side: length of T, coefficients of both cameras, and more keys.
+fn side_by_side(length: f64, coefficients: &str, more: &str) -> String {
+    let camera = "[[700, 0, 321], [0, 700, 238], [0, 0, 1]]";
+    format!(
+        "%YAML:1.0\n---\nimage_width: 640\nimage_height: 480\nK1: {camera}\nK2: {camera}\nD1: {coefficients}\nD2: {coefficients}\n\
+         R: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\nT: [-{length}, 0, 0]\n{more}\n"
+    )
+}
+
+fn read_stated(text: &str, stated: StatedCalibration) -> Result<StereoCalibration, String> {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("stereo.yml");
+    fs::write(&file, text).unwrap();
+    load_stated(&[file], None, &stated).map_err(|error| error.to_string())
+}
+
+#[test]
+fn an_unstated_unit_is_used_only_if_no_other_is_plausible() {
+    let lens = "[0.1, 0, 0, 0, 0]";
+    let read = |length, stated| read_stated(&side_by_side(length, lens, ""), stated);
+    for (length, baseline_m, unit) in
+        [(0.128, 0.128, "m"), (0.5, 0.5, "m"), (3.0, 0.03, "cm"), (64.3, 0.0643, "mm"), (500.0, 0.5, "mm")]
+    {
+        let found = read(length, StatedCalibration::default()).unwrap();
+        assert!((found.rig.baseline_m() - baseline_m).abs() < 1e-12, "{length}");
+        assert!(found.warnings.len() == 1 && found.warnings[0].contains(&format!(": {unit} is used")), "{found:?}");
+    }
+    for (length, needed) in [
+        (12.86, ["12.9 mm with the unit mm, 128.6 mm with the unit cm", "--calib-unit mm or --calib-unit cm"]),
+        (1.5, ["15.0 mm with the unit cm, 1500.0 mm with the unit m", "--calib-unit cm or --calib-unit m"]),
+        (0.004, ["none is plausible", "add the key units"]),
+    ] {
+        let refused = read(length, StatedCalibration::default()).unwrap_err();
+        assert!(needed.iter().all(|needed| refused.contains(needed)), "{refused}");
+    }
+    // What is stated is never refused for being unusual.
+    let centimetres = StatedCalibration { unit: Some(LengthUnit::Centimetres), ..StatedCalibration::default() };
+    for (length, baseline_m) in [(12.86, 0.1286), (0.4, 0.004), (900.0, 9.0)] {
+        let found = read(length, centimetres).unwrap();
+        assert!((found.rig.baseline_m() - baseline_m).abs() < 1e-12 && found.warnings.is_empty(), "{found:?}");
+    }
+    let refused = read_stated(&side_by_side(64.3, lens, "units: mm"), centimetres).unwrap_err();
+    assert!(refused.contains("units: is mm, --calib-unit states cm: leave the option out"), "{refused}");
+    let refused = read_stated(KALIBR, centimetres).unwrap_err();
+    assert!(refused.contains("--calib-unit cm: a Kalibr camchain states this itself"), "{refused}");
+}
+
+#[test]
+fn four_coefficients_have_two_readings_until_the_lens_is_stated() {
+    let text = |more: &str| side_by_side(64.3, "[-0.012, 0.041, -0.038, 0.008]", &format!("units: mm\n{more}"));
+    let coefficients = [-0.012, 0.041, -0.038, 0.008];
+    let equidistant = Distortion::Equidistant { coefficients };
+    let [k1, k2, p1, p2] = coefficients;
+    let brown = Distortion::BrownConrady5 { coefficients: [k1, k2, p1, p2, 0.0] };
+    let open = read_stated(&text(""), StatedCalibration::default()).unwrap();
+    let other = open.other_lens.unwrap();
+    assert_eq!((open.rig.left().distortion(), other.right().distortion()), (&brown, &equidistant));
+    let refused = open.clone().decided().unwrap_err().to_string();
+    assert!(refused.contains("--calib-lens brown or --calib-lens equidistant"), "{refused}");
+    assert!(load_texts(&[("stereo.yml", &text(""))]).is_err(), "no command uses one of them in silence");
+    assert_eq!(open.with_lens(LensModel::Equidistant, "it fits").rig, other);
+    let lens = |lens| StatedCalibration { lens: Some(lens), ..StatedCalibration::default() };
+    for (stated, more, expected) in [
+        (lens(LensModel::BrownConrady), "", &brown),
+        (lens(LensModel::Equidistant), "", &equidistant),
+        (StatedCalibration::default(), "distortion_model: fisheye", &equidistant),
+        (StatedCalibration::default(), "distortion_model: plumb_bob", &brown),
+        (lens(LensModel::Equidistant), "distortion_model: fisheye", &equidistant),
+    ] {
+        let found = read_stated(&text(more), stated).unwrap();
+        assert_eq!(
+            (found.rig.left().distortion(), found.other_lens, found.warnings.len()),
+            (expected, None, 0),
+            "{more}"
+        );
+    }
+    let refused = read_stated(&text("distortion_model: plumb_bob"), lens(LensModel::Equidistant)).unwrap_err();
+    assert!(refused.contains("distortion_model: states the lens model Brown-Conrady"), "{refused}");
+    let zeros = read_stated(&side_by_side(0.0643, "[0, 0, 0, 0]", ""), StatedCalibration::default()).unwrap();
+    assert_eq!((zeros.rig.left().distortion(), zeros.other_lens), (&Distortion::None, None));
+}
+
+#[test]
+fn rectified_images_have_the_projection_matrices() {
+    let rectified = StatedCalibration { rectified: true, ..StatedCalibration::default() };
+    let pair = [data("ros_pair/left.yaml"), data("ros_pair/right.yaml")];
+    let raw = load_stereo(&pair).unwrap();
+    let found = load_stated(&pair, None, &rectified).unwrap().rig;
+    assert!(found.is_rectified() && *found.left().distortion() == Distortion::None, "{found:?}");
+    assert!((found.baseline_m() - raw.rig.baseline_m()).abs() < 1e-9);
+    let text = fs::read_to_string(&pair[0]).unwrap();
+    let p = text.split("projection_matrix").nth(1).unwrap();
+    assert!(
+        p.contains(&format!("{:?}", found.left().pinhole().fx))
+            && p.contains(&format!("{:?}", found.left().pinhole().cy)),
+        "{found:?} {p}"
+    );
+    // Without matrices: the rectified cameras of the rig; P1 and P2 of OpenCV, if they are there.
+    let kalibr = read_stated(KALIBR, rectified).unwrap().rig;
+    assert_eq!(kalibr, load_texts(&[("camchain.yaml", KALIBR)]).unwrap().rig.rectify().unwrap().rig);
+    let p = "units: mm\nP1: [[650, 0, 300, 0], [0, 650, 240, 0], [0, 0, 1, 0]]\nP2: [[650, 0, 310, -41795], [0, 650, 240, 0], [0, 0, 1, 0]]";
+    let opencv = read_stated(&side_by_side(64.3, "[0.1, 0, 0, 0]", p), rectified).unwrap().rig;
+    assert!((opencv.baseline_m() - 0.0643).abs() < 1e-12 && opencv.right().pinhole().cx == 310.0, "{opencv:?}");
+}
+
+/// A `camera_info` pair of this size and camera matrix, with more lines, for images of this size.
+fn window_pair(
+    (width, height): (u32, u32),
+    [fx, cx, cy]: [f64; 3],
+    more: &str,
+    images: Option<ImageSize>,
+) -> Result<StereoCalibration, CalibrationFileError> {
+    let text = |shift: f64| {
+        format!(
+            "image_width: {width}\nimage_height: {height}\ncamera_matrix: [[{fx}, 0, {cx}], [0, {fx}, {cy}], [0, 0, 1]]\n\
+             distortion_model: plumb_bob\ndistortion_coefficients: [0.1, 0, 0, 0, 0]\n\
+             rectification_matrix: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n\
+             projection_matrix: [[{fx}, 0, {cx}, {}], [0, {fx}, {cy}, 0], [0, 0, 1, 0]]\n{more}\n",
+            -fx * shift
+        )
+    };
+    parse_ros_pair([Path::new("left.yaml"), Path::new("right.yaml")], [&text(0.0), &text(0.1)], images)
+}
+
+/// The images have 640x480 pixels, a focal length of 700 pixels, and the principal point (325, 235).
+#[test]
+fn binning_and_roi_of_a_camera_info_are_applied() {
+    let binning = "binning_x: 2\nbinning_y: 2";
+    let roi = "roi: {x_offset: 200, y_offset: 150, width: 640, height: 480, do_rectify: false}";
+    let both = "binning_x: 2\nbinning_y: 2\nroi: {x_offset: 100, y_offset: 60, width: 1280, height: 960}";
+    let of_binned = [1400.0, 650.5, 470.5];
+    let check = |size, matrix, more: &str, images, (notes, warnings): (usize, usize)| {
+        let read = window_pair(size, matrix, more, images).unwrap();
+        let camera = read.rig.right();
+        assert_eq!((camera.size(), read.rig.baseline_m()), (SIZE, 0.1), "{more}");
+        assert_eq!(*camera.pinhole(), Pinhole { fx: 700.0, fy: 700.0, cx: 325.0, cy: 235.0 }, "{more}");
+        assert_eq!((read.notes.len(), read.warnings.len()), (notes, warnings), "{:?} {:?}", read.notes, read.warnings);
+    };
+    // The size is that of the sensor, as ROS defines it; the size of the images need not be known.
+    for images in [None, Some(SIZE)] {
+        check((1280, 960), of_binned, binning, images, (1, 0));
+        check((1280, 960), [700.0, 525.0, 385.0], roi, images, (1, 0));
+        check((1500, 1100), [1400.0, 750.5, 530.5], both, images, (1, 0));
+        check((640, 480), [700.0, 325.0, 235.0], "binning_x: 1\nroi: {width: 640, height: 480}", images, (0, 0));
+        check((640, 480), [700.0, 325.0, 235.0], "binning_x: 0\nroi: {x_offset: 0}", images, (0, 0));
+    }
+    // The size is that of the images; the camera matrix is that of the sensor, or of the images.
+    check((640, 480), of_binned, binning, Some(SIZE), (0, 1));
+    check((640, 480), [700.0, 525.0, 385.0], roi, Some(SIZE), (0, 1));
+    check((640, 480), [700.0, 325.0, 235.0], binning, Some(SIZE), (0, 1));
+}
+
+#[test]
+fn binning_and_roi_that_can_be_read_in_two_ways_are_refused() {
+    let refused = |size, matrix, more: &str, parts: &[&str]| {
+        let error = window_pair(size, matrix, more, Some(SIZE)).unwrap_err().to_string();
+        assert!(parts.iter().all(|part| error.contains(part)), "{error}");
+    };
+    let small = "roi: {x_offset: 40, y_offset: 30, width: 640, height: 480}";
+    let small_in_both = ["left.yaml: roi: roi of 640x480 at (40, 30)", "(285.0, 205.0)", "(325.0, 235.0)", "both are"];
+    refused((640, 480), [700.0, 325.0, 235.0], small, &small_in_both);
+    refused((640, 480), [700.0, 960.0, 235.0], "binning_x: 2", &["binning_x: binning 2x1", "neither is", "--calib"]);
+    // The window has another size than the images.
+    let other = "roi: {x_offset: 200, y_offset: 150, width: 320, height: 240}";
+    refused(
+        (1280, 960),
+        [700.0, 525.0, 385.0],
+        other,
+        &["images have 640x480", "the stated size 1280x960", "320x240 at"],
+    );
+    refused((640, 480), [700.0, 525.0, 385.0], other, &["neither is"]);
+    refused((640, 480), [700.0, 525.0, 385.0], "binning_y: 1.5", &["binning_y: 1.5 is not a number of pixels"]);
 }
 
 /// The body is neither camera: turned by a third about (1, 1, 1), which maps x to y, y to z and z to x.

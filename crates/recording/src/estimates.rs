@@ -8,7 +8,7 @@ use pb3dp_cell::perception::View;
 use pb3dp_cell::selection::Choice;
 use pb3dp_estimation_core::estimate::TrackEstimate;
 
-use crate::exact::{covariance, of_covariance, of_pose_if_any, of_region, pose_if_any, same_bits, status};
+use crate::exact::{covariance, of_covariance, of_pose_if_any, of_region, pose_if_any, same_bits};
 
 /// An estimate with everything that it depended on.
 pub fn pair_result(seen: &PairEstimate) -> PairResult {
@@ -63,7 +63,7 @@ pub fn recorded_estimate(result: &PairResult) -> Result<TrackEstimate> {
         outline_px: result.outline_px.chunks_exact(2).map(corner).collect(),
         observed,
         rotation_about_normal_observed: result.rotation_about_normal_observed,
-        ..TrackEstimate::without_pose(status(&result.status)?, result.reason.clone())
+        ..TrackEstimate::without_pose(result.status.parse().context("status")?, result.reason.clone())
     })
 }
 

@@ -1,10 +1,11 @@
 //! Values of a run as messages and back, to the last bit.
 
 use std::io::Cursor;
+use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use image::{GrayImage, ImageFormat};
+use image::{DynamicImage, GrayImage, ImageFormat};
 use nalgebra::{Matrix6, Point3, Vector2};
 use pb3dp_bag::cdr::Bytes;
 use pb3dp_bag::messages::LogLine;
@@ -17,11 +18,11 @@ use pb3dp_cell::perception::Marking;
 use pb3dp_cell::spectator::RunEnd;
 use pb3dp_cell::supervision::TransitionNote;
 use pb3dp_estimation_core::region::Region;
-use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::frames::Frame;
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::{ArmErrorKind, ArmState};
 use pb3dp_kinematics::{DOF, JointVector};
+use pb3dp_record::images::StoredImage;
 use pb3dp_servo::TargetObservation;
 use pb3dp_servo::supervisor::{
     Confidence, EstimateInput, Event, FrameInput, OperatorCommand, OperatorInput, OperatorRequest, State,
@@ -102,6 +103,7 @@ pub fn of_percept(percept: &Percept) -> Observed {
             Confidence::Sure => "sure",
             Confidence::Doubtful => "doubtful",
             Confidence::NoPose => "no pose",
+            Confidence::Miscalibrated => "miscalibrated",
         }
         .to_owned(),
         stated_covariance: of_covariance(estimate.covariance.as_ref()),
@@ -122,6 +124,7 @@ pub fn percept(seen: &Observed) -> Result<Percept> {
         "sure" => Confidence::Sure,
         "doubtful" => Confidence::Doubtful,
         "no pose" => Confidence::NoPose,
+        "miscalibrated" => Confidence::Miscalibrated,
         other => bail!("observed.confidence: {other:?} is no confidence"),
     };
     let observation = pose_if_any("observed.cam_left_from_model", &seen.cam_left_from_model)?
@@ -216,13 +219,6 @@ pub fn change(line: &LogLine, t_s: f64) -> Option<TransitionNote> {
     })
 }
 
-/// The status with this name.
-pub fn status(word: &str) -> Result<Status> {
-    use Status::{Ambiguous, Error, Lost, NotObservable, Ok as Good, PartlyObserved, WeakTilt};
-    let all = [Good, WeakTilt, PartlyObserved, Ambiguous, NotObservable, Lost, Error];
-    all.into_iter().find(|status| status.as_str() == word).with_context(|| format!("status: {word:?} is no status"))
-}
-
 /// A region.
 pub fn of_region(region: &Region) -> Marked {
     let marked = |kind: &str, numbers: Vec<f64>| Marked { kind: kind.to_owned(), numbers, mask: Bytes::default() };
@@ -268,8 +264,10 @@ pub fn region(marked: &Marked) -> Result<Region> {
 }
 
 fn mask(png: &[u8]) -> Result<GrayImage> {
-    let read = image::load_from_memory_with_format(png, ImageFormat::Png);
-    Ok(read.context("region: the mask is damaged")?.into_luma8())
+    match StoredImage::parse(Path::new("mask"), png).context("region: the mask cannot be used")? {
+        StoredImage::Rgb(mask) => Ok(DynamicImage::from(mask).into_luma8()),
+        StoredImage::Deep(_) => bail!("region: the mask has more than 8 bits per channel"),
+    }
 }
 
 /// How a target is marked.
@@ -390,6 +388,15 @@ mod tests {
         for marked in all {
             assert_eq!(region(&of_region(&marked)).unwrap(), marked);
         }
+        // Of an image that would have 400 million pixels, only the header.
+        let png = [
+            b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0N \0\0N \x08\0\0\0\0\xC6\x1B\x19\xE5".as_slice(),
+            b"\0\0\0\0IDAT5\xAF\x06\x1E",
+        ]
+        .concat();
+        let large = Marked { kind: "mask".to_owned(), numbers: Vec::new(), mask: Bytes(png) };
+        let error = format!("{:#}", region(&large).unwrap_err());
+        assert!(error.contains("mask") && error.contains("too large: 20000x20000 pixels"), "{error}");
         let unknown = Marked { kind: "circle".to_owned(), ..Marked::default() };
         assert!(region(&unknown).unwrap_err().to_string().contains("circle"));
     }

@@ -8,9 +8,10 @@ use pb3dp_bag::pairs::decoded;
 use pb3dp_bag::reader::RawMessage;
 use pb3dp_bag::run_messages::{RunBegin, SetupFile, SetupFiles};
 use pb3dp_bag::topics::ours;
+use pb3dp_estimation_core::status::SCHEMA_VERSION;
 
 /// Topics of the head.
-pub const TOPICS: [&str; 4] = [ours::VERSION, ours::SETUP, ours::FILES, ours::BEGIN];
+pub const TOPICS: [&str; 5] = [ours::VERSION, ours::SCHEMA_VERSION, ours::SETUP, ours::FILES, ours::BEGIN];
 
 /// What has been read so far.
 #[derive(Default)]
@@ -27,10 +28,11 @@ impl Head {
     /// Takes a message of the head; returns whether it was one.
     ///
     /// # Errors
-    /// A damaged message.
+    /// A damaged message, or a form of results that this version does not know.
     pub fn take(&mut self, message: &RawMessage) -> Result<bool> {
         match message.channel.topic.as_str() {
             ours::VERSION => self.version = decoded::<Text>(message)?.data,
+            ours::SCHEMA_VERSION => check_schema(&decoded::<Text>(message)?.data)?,
             ours::SETUP => self.setup_text = Some(decoded::<Text>(message)?.data),
             ours::FILES => self.files = decoded::<SetupFiles>(message)?.files,
             ours::BEGIN => self.begin = Some(decoded(message)?),
@@ -53,6 +55,32 @@ impl Head {
                 ours::SETUP,
                 ours::BEGIN
             ),
+        }
+    }
+}
+
+/// Recordings of before this number existed have the first form.
+fn check_schema(found: &str) -> Result<()> {
+    match found.parse::<u32>() {
+        Ok(number) if number <= SCHEMA_VERSION => Ok(()),
+        _ => bail!(
+            "{} is {found:?}: this version reads recordings up to {SCHEMA_VERSION}; open it with the version that recorded it",
+            ours::SCHEMA_VERSION
+        ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_recording_of_a_later_form_is_refused_by_its_number() {
+        assert!(check_schema("1").is_ok());
+        for later in ["2", "-1", ""] {
+            let refused = check_schema(later).unwrap_err().to_string();
+            assert!(refused.contains(&format!("/pb3dp/schema_version is {later:?}")), "{refused}");
+            assert!(refused.contains("up to 1; open it with"), "{refused}");
         }
     }
 }

@@ -13,6 +13,7 @@ use pb3dp_bag::messages::{
 use pb3dp_bag::run_messages::{SetupFile, SetupFiles};
 use pb3dp_bag::sinks::{Finished, Sinks};
 use pb3dp_bag::topics::ours;
+use pb3dp_estimation_core::status::SCHEMA_VERSION;
 use pb3dp_geometry::frames::Frame;
 use pb3dp_geometry::{MonotonicTime, Pose, StereoRig};
 use pb3dp_hal_api::{DeliveredImage, FramePair, PairExposure};
@@ -89,6 +90,7 @@ impl PairRecording {
         let mut recording = Self { sinks, since_1970: about.since_1970, infos, exposure: None };
         let zero = MonotonicTime::ZERO;
         recording.push(ours::VERSION, zero, &Text { data: about.version.clone() });
+        recording.push(ours::SCHEMA_VERSION, zero, &Text { data: SCHEMA_VERSION.to_string() });
         if let Some(rig) = rig {
             recording.push(ours::CALIBRATION, zero, &Text { data: json_text(rig) });
             let right = rig.cam_right_from_cam_left().inverse();

@@ -1,7 +1,7 @@
 //! Records a run as an MCAP file with ROS 2 messages: images as the cameras delivered them, calibration, estimates, joints, commands,
 //! changes of state, the settings; and what a replay needs, to the bit.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use nalgebra::Matrix6;
@@ -25,6 +25,8 @@ use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::frames::{CamLeft, Flange, Frame};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_kinematics::Chain;
+use pb3dp_record::images::FILE_MAX_BYTES;
+use pb3dp_record::regular_file::read_regular;
 use pb3dp_setup::setup::Setup;
 
 use crate::estimates::pair_result;
@@ -123,7 +125,8 @@ impl RunRecording {
         };
         recording.pairs.push(ours::SETUP, MonotonicTime::ZERO, &Text { data: about.setup_text.clone() });
         let read = |path: String| -> Result<SetupFile> {
-            let data = std::fs::read(&path).with_context(|| format!("--record: {path} cannot be read"))?;
+            let data = read_regular(Path::new(&path), FILE_MAX_BYTES)
+                .with_context(|| format!("--record: {path} cannot be read"))?;
             Ok(SetupFile { path, data: Bytes(data) })
         };
         let files = setup.layers.input_files().into_iter().map(read).collect::<Result<_>>()?;
@@ -204,7 +207,7 @@ impl RunRecording {
         let estimate = &seen.estimate;
         let level = match estimate.status {
             Status::Ok => 0,
-            Status::Lost | Status::NotObservable => 2,
+            Status::Miscalibrated | Status::Lost | Status::NotObservable => 2,
             _ => 1,
         };
         let mut values = vec![

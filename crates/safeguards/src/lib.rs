@@ -40,6 +40,7 @@ safeguards! {
     ClockStepped "supervisor: clock_stepped" "Both arms hold after a step of the clock"
     OperatorSilent "supervisor: operator_silent" "Both arms stop without an operator heartbeat"
     JointsStale "supervisor: joints_stale" "Both arms hold without fresh joint measurements of both arms"
+    Miscalibrated "supervisor: miscalibrated" "The hand holds when the images contradict the calibration"
     TargetChanged "supervisor: target_changed" "The hand holds when the tracked target is not the started one"
     FrameStale "supervisor: frame_stale" "The hand holds without fresh images"
     FrameOrder "supervisor: frame_order" "The hand holds when images arrive out of order"

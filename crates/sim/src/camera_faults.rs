@@ -127,7 +127,7 @@ impl CameraFaultKind {
             Self::Miscalibrated { columns_px, rows_px, roll_rad, scale } => [
                 Some(("columns_px", columns_px, -500.0..=500.0)),
                 Some(("rows_px", rows_px, -500.0..=500.0)),
-                Some(("roll_rad", roll_rad, -0.5..=0.5)),
+                Some(("roll_deg", roll_rad.to_degrees(), -30.0..=30.0)),
                 Some(("scale", scale, 0.5..=2.0)),
             ],
             Self::Skewed { .. } | Self::Frozen | Self::Black { .. } | Self::Saturated { .. } => [const { None }; 4],

@@ -23,8 +23,11 @@ use std::time::{Duration, SystemTime};
 use anyhow::{Result, bail};
 use clap::ValueEnum;
 use pb3dp_arm_pa10::arm::{ArmMonitor, VirtualTime};
+pub use pb3dp_camera_replay::{
+    CalibrationOptions, PairsPerSecond, RecordedPairs, Recording, RecordingOptions, SkewMillis, TimedRecordingOptions,
+    Topics, calibration_of,
+};
 use pb3dp_camera_replay::{Pacing, Repeat, ReplayOptions};
-pub use pb3dp_camera_replay::{RecordedPairs, Recording, RecordingOptions, Topics, calibration_of};
 use pb3dp_camera_settings::StereoConfig;
 use pb3dp_camera_v4l2::ReopeningCamera;
 use pb3dp_camera_v4l2::linux::Linux;
@@ -47,6 +50,7 @@ pub use nominal::{MOCK_ARM, accept_nominal};
 
 use pb3dp_cell::camera_controls::ControlDesk;
 use pb3dp_cell::cell::{FreeTarget, SimulatedCell};
+use pb3dp_cell::lens_reading::decide_lens;
 use pb3dp_cell::operator::ByCommand;
 use pb3dp_cell::paced_clock::PacedClock;
 use pb3dp_cell::parts::{EmulatedArm, LinkMonitor, Parts};
@@ -329,7 +333,22 @@ pub fn wire_endless_replay(
     clock: Arc<dyn Clock>,
 ) -> Result<Recording> {
     let options = ReplayOptions { pacing: Pacing::Live(clock), repeat: Repeat::Forever, ..ReplayOptions::default() };
-    Ok(Recording::open(path, calibration, asked, options)?)
+    decided(Recording::open(path, calibration, asked, options)?)
+}
+
+/// Decides the lens model of a calibration that does not state it, by the first pair that can be read.
+fn decided(mut recording: Recording) -> Result<Recording> {
+    let calibration = recording.camera.calibration();
+    if calibration.other_lens.is_none() {
+        return Ok(recording);
+    }
+    let calibration = calibration.clone();
+    let known = calibration.warnings.len();
+    let pair = recording.camera.first_pair()?;
+    let calibration = decide_lens(calibration, &pair.left, &pair.right)?;
+    recording.warnings.extend(calibration.warnings.iter().skip(known).cloned());
+    recording.camera.replace_calibration(calibration);
+    Ok(recording)
 }
 
 /// A recording that is played once.
@@ -346,7 +365,7 @@ pub fn wire_replay(
         ReplayPace::Fast => Pacing::Unpaced,
         ReplayPace::Original => Pacing::Original(Arc::new(SystemClock::new())),
     };
-    Ok(Recording::open(path, calibration, asked, ReplayOptions { pacing, ..ReplayOptions::default() })?)
+    decided(Recording::open(path, calibration, asked, ReplayOptions { pacing, ..ReplayOptions::default() })?)
 }
 
 #[cfg(test)]

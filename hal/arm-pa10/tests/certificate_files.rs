@@ -51,6 +51,9 @@ fn what_is_no_certificate_is_refused_without_its_text() {
     let other = folder.path().join("other.crt");
     let other_key = write_new_certificate(&other).unwrap();
     let missing = folder.path().join("none");
+    // Nobody writes into it: to wait for a writer would never end.
+    let pipe = folder.path().join("pipe");
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
     for (certificate, key, expected) in [
         (&wrong, &key, "holds no certificate as PEM"),
         (&key, &key, "holds no certificate as PEM"),
@@ -58,6 +61,7 @@ fn what_is_no_certificate_is_refused_without_its_text() {
         (&file, &file, "arm1.crt"),
         (&file, &other_key, "cannot be used with its private key"),
         (&missing, &key, "certificate"),
+        (&pipe, &key, "not a regular file"),
         (&file, &missing, "key file"),
     ] {
         let error = GatewayIdentity::read(certificate, key).unwrap_err();

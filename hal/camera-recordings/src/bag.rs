@@ -4,7 +4,8 @@ use std::fmt;
 
 use image::RgbImage;
 use pb3dp_bag::BagError;
-use pb3dp_bag::pairs::{BagPairs, StereoBag};
+use pb3dp_bag::matching::LeftOut;
+use pb3dp_bag::pairs::{BagPairs, CalibrationChange, StereoBag};
 use pb3dp_geometry::MonotonicTime;
 
 /// Reads pairs; quickest in their order.
@@ -13,6 +14,15 @@ pub(crate) struct BagImages {
     pairs: BagPairs,
     /// Number of the next pair of `pairs`.
     next: u64,
+}
+
+/// Times of the pairs of a recording.
+pub(crate) struct BagTimes {
+    /// Middle of the left exposure and skew in nanoseconds of each pair.
+    pub(crate) times: Vec<(MonotonicTime, i64)>,
+    pub(crate) left_out: LeftOut,
+    /// Number of the first pair with another calibration.
+    pub(crate) changed: Option<(u64, CalibrationChange)>,
 }
 
 impl fmt::Debug for BagImages {
@@ -26,14 +36,15 @@ impl BagImages {
         Self { pairs: bag.pairs(), bag, next: 0 }
     }
 
-    /// Times of all pairs, and the number of images without a partner.
-    pub(crate) fn times(bag: &StereoBag) -> Result<(Vec<(MonotonicTime, i64)>, u64), BagError> {
+    /// Times of all pairs, the images without a partner, and the first pair with another calibration than the recording begins with.
+    pub(crate) fn times(bag: &StereoBag) -> Result<BagTimes, BagError> {
         let mut pairs = bag.pairs();
         let mut times: Vec<(MonotonicTime, i64)> = Vec::new();
         while let Some(time) = pairs.skip_pair()? {
             times.push(time);
         }
-        Ok((times, pairs.unpaired()))
+        let changed = (0..).zip(&times).find_map(|(number, time)| Some((number, pairs.change_before(*time)?)));
+        Ok(BagTimes { left_out: pairs.left_out(), times, changed })
     }
 
     /// The images of the pair with this number in the recording.

@@ -10,6 +10,7 @@ use pb3dp_bag::matching::Matching;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraError, CameraErrorKind};
 use pb3dp_record::calibration_files::{StereoCalibration, parse_euroc};
+use pb3dp_record::text_file::read_text;
 
 use crate::source::{Place, TimedPairs};
 
@@ -17,7 +18,7 @@ use crate::source::{Place, TimedPairs};
 pub(crate) fn camera_folders(folder: &Path) -> Option<[PathBuf; 2]> {
     [folder.to_path_buf(), folder.join("mav0")].into_iter().find_map(|base| {
         let cameras = ["cam0", "cam1"].map(|name| base.join(name));
-        cameras.iter().all(|camera| camera.join("data.csv").is_file()).then_some(cameras)
+        cameras.iter().all(|camera| camera.join("data.csv").exists()).then_some(cameras)
     })
 }
 
@@ -26,7 +27,7 @@ fn unusable(message: String) -> CameraError {
 }
 
 fn text_of(file: &Path) -> Result<String, CameraError> {
-    std::fs::read_to_string(file).map_err(|source| {
+    read_text(file).map_err(|source| {
         let message = format!("cannot read {}; check that it exists and is text", file.display());
         CameraError::caused_by(CameraErrorKind::Unusable, message, source)
     })
@@ -43,7 +44,7 @@ pub(crate) fn calibration(cameras: &[PathBuf; 2]) -> Result<StereoCalibration, C
     })
 }
 
-/// The pairs: images of the cameras that are nearest in time, at most `within` apart, and the number of images without a partner.
+/// The pairs: images of the cameras that are nearest in time, at most `within` apart, and the images without a partner.
 pub(crate) fn pairs(cameras: &[PathBuf; 2], within: Duration) -> Result<TimedPairs, CameraError> {
     let [left, right] = [images(&cameras[0])?, images(&cameras[1])?];
     let (mut matching, mut pairs) = (Matching::new(within), Vec::new());
@@ -57,12 +58,12 @@ pub(crate) fn pairs(cameras: &[PathBuf; 2], within: Duration) -> Result<TimedPai
             pairs.push((Place::Files(left, right), left_at, skew_nanos));
         }
         match images.next() {
-            Some((side, (at, file))) => matching.push(side, at, file),
+            Some((side, (at, file))) => matching.push(side, at, (file, 0)),
             None if matching.is_complete() => break,
             None => matching.complete(),
         }
     }
-    Ok(TimedPairs { pairs, unpaired: matching.unpaired() })
+    Ok(TimedPairs { pairs, left_out: matching.left_out() })
 }
 
 /// Times and files of the images of a camera.

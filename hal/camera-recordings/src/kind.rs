@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 use pb3dp_bag::BagError;
 use pb3dp_bag::pairs::{MarkedRegion, PAIR_WITHIN, PairOptions, StereoBag};
 use pb3dp_bag::reader::Bag;
+use pb3dp_geometry::ImageSize;
 use pb3dp_hal_api::{CameraError, CameraErrorKind};
-use pb3dp_record::calibration_files::{StereoCalibration, load_stereo};
+use pb3dp_record::calibration_files::{CalibrationFileError, StatedCalibration, StereoCalibration, load_stated};
 use pb3dp_record::dataset::{CASE_FILE, Case, DatasetError, Sequence, is_sequence, load_case, load_sequence};
 
 use crate::euroc;
@@ -68,7 +69,7 @@ impl Kind {
         if is_sequence(path) || is_sequence_file(path) {
             return load_sequence(path).map(Self::Sequence).map_err(|error| unusable(path, error));
         }
-        if path.join(CASE_FILE).is_file() {
+        if path.join(CASE_FILE).exists() {
             return load_case(path).map(Self::Case).map_err(|error| unusable(path, error));
         }
         if Bag::is_one(path) {
@@ -79,8 +80,9 @@ impl Kind {
         if let Some(cameras) = euroc::camera_folders(path) {
             return Ok(Self::Euroc(cameras));
         }
-        if path.is_file() {
-            return Err(unusable_bag(path, BagError::NoMcap { file: path.to_path_buf() }));
+        if path.exists() && !path.is_dir() {
+            let error = Bag::open(path).err().unwrap_or_else(|| BagError::NoMcap { file: path.to_path_buf() });
+            return Err(unusable_bag(path, error));
         }
         if !path.exists() {
             let message = format!("cannot replay {}: it does not exist; check the path", path.display());
@@ -89,24 +91,32 @@ impl Kind {
         Ok(Self::Images)
     }
 
-    /// The calibration in these files, or that of the recording if there are none.
+    /// The calibration in these files, or that of the recording if there are none, as the user states it. `images` is the size of the images,
+    /// if one can be read. [`StereoCalibration::other_lens`] is left to be decided.
     ///
     /// # Errors
     /// Kind `Unusable` if there is none, or it cannot be used.
-    pub fn calibration(&self, path: &Path, files: &[PathBuf]) -> Result<StereoCalibration, CameraError> {
+    pub fn calibration(
+        &self,
+        path: &Path,
+        files: &[PathBuf],
+        (stated, images): (&StatedCalibration, Option<ImageSize>),
+    ) -> Result<StereoCalibration, CameraError> {
+        let load = |files: &[PathBuf]| load_stated(files, images, stated);
+        let refused = |error: CalibrationFileError| unusable(path, DatasetError::from(error));
         match (files, self) {
-            ([], Self::Sequence(sequence)) => sequence.load_calibration().map_err(|error| unusable(path, error)),
-            ([], Self::Case(case)) => case.load_calibration().map_err(|error| unusable(path, error)),
-            ([], Self::Bag(bag)) => bag.calibration().map_err(|error| unusable_bag(path, error)),
-            ([], Self::Euroc(cameras)) => euroc::calibration(cameras),
-            ([], Self::Images) => load_stereo(&[path.to_path_buf()]).map_err(|error| {
+            ([], Self::Sequence(sequence)) => load(std::slice::from_ref(&sequence.calibration)).map_err(refused),
+            ([], Self::Case(case)) => load(std::slice::from_ref(&case.calibration)).map_err(refused),
+            ([], Self::Bag(bag)) => bag.calibration(stated).map_err(|error| unusable_bag(path, error)),
+            ([], Self::Euroc(cameras)) => euroc::calibration(cameras)?.as_stated(stated, images).map_err(refused),
+            ([], Self::Images) => load(&[path.to_path_buf()]).map_err(|error| {
                 let message = format!(
                     "cannot replay {}: no usable calibration; give one with --calib, or put a calib.json there",
                     path.display()
                 );
                 CameraError::caused_by(CameraErrorKind::Unusable, message, error)
             }),
-            (files, _) => load_stereo(files).map_err(|error| {
+            (files, _) => load(files).map_err(|error| {
                 let message = "the calibration of --calib cannot be used".to_owned();
                 CameraError::caused_by(CameraErrorKind::Unusable, message, error)
             }),
@@ -123,15 +133,6 @@ impl Kind {
             _ => Ok(None),
         }
     }
-}
-
-/// The calibration that a recording contains.
-///
-/// # Errors
-/// As [`Kind::of`], and as [`Kind::calibration`].
-pub fn calibration_of(path: &Path, asked: &RecordingOptions) -> Result<StereoCalibration, CameraError> {
-    let path = folder_of(path);
-    Kind::of(path, asked)?.calibration(path, &[])
 }
 
 /// The recording at a path: the description of a bag stands for its folder.
@@ -152,10 +153,12 @@ pub(crate) fn unusable_bag(path: &Path, error: BagError) -> CameraError {
     CameraError::caused_by(CameraErrorKind::Unusable, format!("cannot replay {}", path.display()), error)
 }
 
-fn unusable(folder: &Path, error: DatasetError) -> CameraError {
+pub(crate) fn unusable(folder: &Path, error: DatasetError) -> CameraError {
     CameraError::caused_by(CameraErrorKind::Unusable, format!("cannot replay {}", folder.display()), error)
 }
 
 fn is_sequence_file(path: &Path) -> bool {
-    path.is_file() && path.extension().is_some_and(|extension| extension == "json" || extension == "jsonl")
+    !path.is_dir()
+        && path.exists()
+        && path.extension().is_some_and(|extension| extension == "json" || extension == "jsonl")
 }

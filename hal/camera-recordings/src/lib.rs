@@ -5,6 +5,7 @@
 //! recorded, not undistorted or rectified.
 
 mod bag;
+mod contained;
 mod euroc;
 mod folder;
 mod kind;
@@ -12,6 +13,9 @@ mod options;
 mod pairs;
 mod source;
 
-pub use kind::{Kind, calibration_of, folder_of};
-pub use options::{RecordingOptions, Topics};
+pub use contained::calibration_of;
+pub use kind::{Kind, folder_of};
+pub use options::{
+    CalibrationOptions, PairsPerSecond, RecordingOptions, SkewMillis, TimedRecordingOptions, Topics, parse_size,
+};
 pub use pairs::{PERIOD, RecordedPairs};

@@ -5,23 +5,26 @@ use std::time::Duration;
 
 use image::RgbImage;
 use pb3dp_bag::BagError;
-use pb3dp_bag::pairs::StereoBag;
+use pb3dp_bag::pairs::{CalibrationChange, StereoBag};
 use pb3dp_camera_settings::ImageLayout;
 use pb3dp_geometry::{ImageSize, MonotonicTime};
 use pb3dp_hal_api::{CameraError, CameraErrorKind};
 use pb3dp_record::dataset::Sequence;
-use pb3dp_record::images::{ImageFileError, ImageProblem, StoredImage, check_size};
+use pb3dp_record::images::{ImageFileError, ImageProblem, StoredImage, check_size, size_of};
 use pb3dp_record::value_range::ValueRange;
 
-use crate::bag::BagImages;
+use crate::bag::{BagImages, BagTimes};
 use crate::euroc;
 use crate::folder::{image_pairs, images_with_both};
 use crate::kind::{Kind, folder_of, no_recording, unusable_bag};
-use crate::options::RecordingOptions;
+use crate::options::{PairsPerSecond, RecordingOptions, SkewMillis};
 use crate::source::{Place, Source, TimedPairs, in_order};
 
 /// Time between the pairs of recordings that state none.
 pub const PERIOD: Duration = Duration::from_nanos(33_333_333);
+
+/// Pairs whose images are tried for their size: the first ones may be damaged.
+const SIZE_FROM_MAX: u64 = 20;
 
 /// The pairs of a recording, in any order; quickest in their own.
 #[derive(Debug)]
@@ -29,8 +32,11 @@ pub struct RecordedPairs {
     name: String,
     source: Source,
     has_times: bool,
+    states_skew: bool,
     /// The images of pairs that are in an MCAP recording.
     bag: Option<BagImages>,
+    /// Number of its first pair with another calibration than it begins with.
+    changed: Option<(u64, CalibrationChange)>,
     range: Option<ValueRange>,
     notes: Vec<String>,
     warnings: Vec<String>,
@@ -51,8 +57,18 @@ impl RecordedPairs {
     /// # Errors
     /// As [`Self::open`].
     pub fn of(path: &Path, kind: &Kind, asked: &RecordingOptions, period: Duration) -> Result<Self, CameraError> {
-        let pairs = Self::found(path, kind, asked, period)?;
+        let period = asked.rate.map_or(period, PairsPerSecond::period);
+        let mut pairs = Self::found(path, kind, asked, period)?;
         pairs.check_range()?;
+        if let (Some(PairsPerSecond(hz)), true) = (asked.rate, pairs.has_times) {
+            let message =
+                format!("--rate {hz} has no effect: {} states the times of its pairs; leave it out", pairs.name);
+            return Err(CameraError::new(CameraErrorKind::Unusable, message));
+        }
+        if let Some(SkewMillis(millis)) = asked.skew {
+            pairs.source.set_skew((millis * 1e6).round() as i64);
+        }
+        pairs.states_skew = asked.skew.is_some() || pairs.source.has_skew();
         Ok(pairs)
     }
 
@@ -99,11 +115,21 @@ impl RecordedPairs {
     fn new(path: &Path, source: Source, asked: &RecordingOptions) -> Self {
         let (notes, warnings) = (Vec::new(), Vec::new());
         let name = format!("replay {}", path.display());
-        Self { name, source, has_times: true, bag: None, range: asked.range, notes, warnings }
+        Self {
+            name,
+            source,
+            has_times: true,
+            states_skew: false,
+            bag: None,
+            changed: None,
+            range: asked.range,
+            notes,
+            warnings,
+        }
     }
 
     fn of_bag(path: &Path, bag: &StereoBag, asked: &RecordingOptions, period: Duration) -> Result<Self, CameraError> {
-        let (times, unpaired) = BagImages::times(bag).map_err(|error| unusable_bag(path, error))?;
+        let BagTimes { times, left_out, changed } = BagImages::times(bag).map_err(|error| unusable_bag(path, error))?;
         let [left, right] = bag.topics().clone().map(|topic| topic.name);
         let notes = vec![format!("images: {left} and {right}")];
         let mut warnings = Vec::new();
@@ -115,11 +141,12 @@ impl RecordedPairs {
         }
         if times.is_empty() {
             let (file, within_ms) = (path.to_path_buf(), asked.pair_within.as_secs_f64() * 1e3);
-            return Err(unusable_bag(path, BagError::NoPairs { file, left, right, within_ms }));
+            return Err(unusable_bag(path, BagError::NoPairs { file, left, right, within_ms, left_out }));
         }
         let pairs = (0..).zip(times).map(|(number, (at, skew_nanos))| (Place::Bag(number), at, skew_nanos)).collect();
-        let mut found = Self::timed(path, &bag.topics()[0].name, TimedPairs { pairs, unpaired }, asked, period)?;
+        let mut found = Self::timed(path, &bag.topics()[0].name, TimedPairs { pairs, left_out }, asked, period)?;
         found.bag = Some(BagImages::new(bag.clone()));
+        found.changed = changed;
         found.notes.splice(0..0, notes);
         found.warnings.splice(0..0, warnings);
         Ok(found)
@@ -129,7 +156,7 @@ impl RecordedPairs {
     fn timed(
         path: &Path,
         left: &str,
-        TimedPairs { pairs, unpaired }: TimedPairs,
+        TimedPairs { pairs, left_out }: TimedPairs,
         asked: &RecordingOptions,
         period: Duration,
     ) -> Result<Self, CameraError> {
@@ -141,12 +168,7 @@ impl RecordedPairs {
             );
             return Err(CameraError::new(CameraErrorKind::Unusable, message));
         }
-        let mut warnings = Vec::new();
-        if unpaired > 0 {
-            warnings.push(format!(
-                "images left out, because the other camera has none within {within_ms} ms (--pair-within): {unpaired}"
-            ));
-        }
+        let mut warnings = Vec::from_iter(left_out.warning(within_ms));
         let times: Vec<MonotonicTime> = pairs.iter().map(|(_, at, _)| *at).collect();
         if times.len() > 1 && times.iter().all(|at| *at == times[0]) {
             warnings.push(format!(
@@ -186,6 +208,26 @@ impl RecordedPairs {
             notes.push(format!("the first {left_out} pairs are left out: the target was marked after them"));
         }
         Self { source, notes, ..self }
+    }
+
+    /// The same up to the first pair with another calibration than the recording begins with: the later ones need another one.
+    ///
+    /// # Errors
+    /// Kind `Unusable` if this is the first pair.
+    pub fn with_first_calibration(mut self) -> Result<Self, CameraError> {
+        let Some((number, CalibrationChange { topic, at })) = self.changed.take() else { return Ok(self) };
+        let change = format!("the calibration changes at pair {number} ({topic}, {:.6} s)", at.as_secs_f64());
+        let rest = "a file of their own, or --calib with a calibration of all pairs";
+        let Some(source) = self.source.before(number, self.period().unwrap_or(PERIOD)) else {
+            let message = format!("{}: {change}, before the first pair that is used; its pairs need {rest}", self.name);
+            return Err(CameraError::new(CameraErrorKind::Unusable, message));
+        };
+        self.warnings.push(format!(
+            "the recording ends where {change}: {} pairs are used, and {} are not; these need {rest}",
+            source.pairs(),
+            self.source.pairs() - source.pairs()
+        ));
+        Ok(Self { source, ..self })
     }
 
     /// Name for messages.
@@ -233,6 +275,11 @@ impl RecordedPairs {
         self.has_times
     }
 
+    /// Whether the time between the exposures of a pair is known: stated, or by different times of both images.
+    pub fn states_skew(&self) -> bool {
+        self.states_skew
+    }
+
     /// The left and the right image file of each pair, if all images are in files of their own with 8 bits.
     pub fn files(&self) -> Option<Vec<[PathBuf; 2]>> {
         let file = |number| match &self.source.pair(number).place {
@@ -244,6 +291,21 @@ impl RecordedPairs {
         let is_deep =
             files.iter().flatten().find_map(|file| StoredImage::load(file).ok()).is_some_and(|image| image.is_deep());
         (!is_deep).then_some(files)
+    }
+
+    /// Size of the left images: that of the first one that can be read.
+    pub fn image_size(&mut self) -> Option<ImageSize> {
+        let bag = &mut self.bag;
+        let source = &self.source;
+        let size = |number| match &source.pair(number).place {
+            Place::Files(left, _) => StoredImage::load(left).ok().map(|image| image.size()),
+            Place::Both(file, layout) => StoredImage::load(file).ok().map(|image| layout.half(image.size())),
+            Place::Bag(in_recording) => {
+                let (images, _) = bag.as_mut()?.images(*in_recording).ok()?;
+                Some(size_of(&images[0]))
+            }
+        };
+        (0..source.pairs().min(SIZE_FROM_MAX)).find_map(size)
     }
 
     /// The images of the pair with this number, from 0. `expected` is the size that they must have, with what requires it.

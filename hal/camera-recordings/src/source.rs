@@ -1,8 +1,10 @@
 //! The pairs of a recording and their times.
 
+use std::ops::Range;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use pb3dp_bag::matching::LeftOut;
 use pb3dp_camera_settings::ImageLayout;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_record::dataset::Sequence;
@@ -22,8 +24,8 @@ pub(crate) enum Place {
 pub(crate) struct TimedPairs {
     /// Each with the middle of the left exposure and the skew in nanoseconds, in the order of these times.
     pub(crate) pairs: Vec<(Place, MonotonicTime, i64)>,
-    /// Number of images without a partner.
-    pub(crate) unpaired: u64,
+    /// Images without a partner.
+    pub(crate) left_out: LeftOut,
 }
 
 /// The images of a pair and their times.
@@ -88,8 +90,20 @@ impl Source {
         let at = |pair: &RecordedPair| self.first_at + pair.since_first;
         let before = self.pairs.iter().take_while(|pair| at(pair) < from).count();
         let left_out = if before < self.pairs.len() { before } else { 0 };
-        let kept = self.pairs[left_out..].iter().map(|pair| (pair.place.clone(), at(pair), pair.skew_nanos));
-        (Self::of_times(kept.collect(), period), left_out as u64)
+        (self.part(left_out..self.pairs.len(), period), left_out as u64)
+    }
+
+    /// The same without the pair of an MCAP recording with this number and all after it; `None` if none is left.
+    pub(crate) fn before(&self, number: u64, period: Duration) -> Option<Self> {
+        let is_after = |pair: &RecordedPair| matches!(pair.place, Place::Bag(of_pair) if of_pair >= number);
+        let end = self.pairs.iter().position(is_after).unwrap_or(self.pairs.len());
+        (end > 0).then(|| self.part(0..end, period))
+    }
+
+    fn part(&self, range: Range<usize>, period: Duration) -> Self {
+        let at = |pair: &RecordedPair| self.first_at + pair.since_first;
+        let kept = self.pairs[range].iter().map(|pair| (pair.place.clone(), at(pair), pair.skew_nanos));
+        Self::of_times(kept.collect(), period)
     }
 
     fn timed(pairs: Vec<RecordedPair>, first_at: MonotonicTime, period: Duration) -> Self {
@@ -99,6 +113,16 @@ impl Source {
         let round = last + typical.unwrap_or(period);
         let regular = typical.filter(|typical| steps.iter().all(|step| step.abs_diff(*typical) * 5 <= *typical));
         Self { pairs, first_at, period: regular, round }
+    }
+
+    /// Sets the skew of all pairs.
+    pub(crate) fn set_skew(&mut self, skew_nanos: i64) {
+        self.pairs.iter_mut().for_each(|pair| pair.skew_nanos = skew_nanos);
+    }
+
+    /// Whether the exposures of a pair differ.
+    pub(crate) fn has_skew(&self) -> bool {
+        self.pairs.iter().any(|pair| pair.skew_nanos != 0)
     }
 
     pub(crate) fn pairs(&self) -> u64 {

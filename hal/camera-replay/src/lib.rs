@@ -19,7 +19,10 @@ use pb3dp_hal_api::{CameraError, CameraErrorKind, FramePair, StereoCamera, Stere
 use pb3dp_record::calibration_files::StereoCalibration;
 
 pub use pacing::{Pacing, Stepper};
-pub use pb3dp_camera_recordings::{RecordedPairs, RecordingOptions, Topics, calibration_of};
+pub use pb3dp_camera_recordings::{
+    CalibrationOptions, PairsPerSecond, RecordedPairs, RecordingOptions, SkewMillis, TimedRecordingOptions, Topics,
+    calibration_of,
+};
 pub use recording::Recording;
 
 /// Behaviour after the last pair.
@@ -92,6 +95,28 @@ impl ReplayCamera {
     /// The calibration with its source.
     pub fn calibration(&self) -> &StereoCalibration {
         &self.calibration
+    }
+
+    /// The first pair that can be read; the position does not change.
+    ///
+    /// # Errors
+    /// As [`RecordedPairs::images`], of the first pair.
+    pub fn first_pair(&mut self) -> Result<FramePair, CameraError> {
+        let mut pair = FramePair::black(self.info.size);
+        let wanted = (self.info.size, self.calibration.source.as_str());
+        let images = match self.pairs.images(0, Some(wanted)) {
+            Err(error) if error.kind() == CameraErrorKind::BadPair => {
+                (1..self.pairs.count()).find_map(|number| self.pairs.images(number, Some(wanted)).ok()).ok_or(error)
+            }
+            first => first,
+        };
+        [pair.left, pair.right] = images?;
+        Ok(pair)
+    }
+
+    /// Replaces the calibration by another reading of the same files, which the images have decided.
+    pub fn replace_calibration(&mut self, calibration: StereoCalibration) {
+        self.calibration = calibration;
     }
 
     /// Number of pairs in the recording, good or bad.

@@ -23,6 +23,8 @@ pub struct Recording {
     pub search: Option<SearchRange>,
     /// True pose of the target in each frame, if it is known.
     pub cam_left_from_model: Option<Vec<Pose<CamLeft, Model>>>,
+    /// Whether the time between the exposures of a pair is known.
+    pub states_skew: bool,
     /// What the user should know of the recording.
     pub notes: Vec<String>,
     /// What is missing or not as it should be.
@@ -42,10 +44,15 @@ impl Recording {
         asked: &RecordingOptions,
         options: ReplayOptions,
     ) -> Result<Self, CameraError> {
+        let options = ReplayOptions { period: asked.rate.map_or(options.period, |rate| rate.period()), ..options };
         let path = folder_of(path);
         let kind = Kind::of(path, asked)?;
         let mut pairs = RecordedPairs::of(path, &kind, asked, options.period)?;
-        let calibration = kind.calibration(path, calibration)?;
+        if calibration.is_empty() {
+            pairs = pairs.with_first_calibration()?;
+        }
+        let size = pairs.image_size();
+        let calibration = kind.calibration(path, calibration, (&asked.calibration.stated(), size))?;
         let marked = kind.marked(path)?;
         if let Some(marked) = &marked {
             // A run's recording begins before its operator marks the target.
@@ -60,18 +67,22 @@ impl Recording {
             }
             Kind::Case(case) => (region, search) = (Some(case.region_polygon_left_px), Some(case.search)),
             Kind::Images => notes.push(format!(
-                "the images have no times: {:.1} pairs per second are assumed",
-                1.0 / options.period.as_secs_f64()
+                "the images have no times: {:.1} pairs per second are {}",
+                1.0 / options.period.as_secs_f64(),
+                if asked.rate.is_some() { "stated" } else { "assumed (--rate states them)" }
             )),
             Kind::Bag(_) | Kind::Euroc(_) => {}
         }
-        let (times_s, warnings) = (pairs.times_s(), pairs.take_warnings());
+        let states_skew = pairs.states_skew();
+        let (times_s, mut warnings) = (pairs.times_s(), pairs.take_warnings());
+        warnings.extend(calibration.warnings.iter().cloned());
         Ok(Self {
             camera: ReplayCamera::new(path, pairs, calibration, options)?,
             times_s,
             region_polygon_left_px: region,
             search,
             cam_left_from_model: truth,
+            states_skew,
             notes,
             warnings,
         })

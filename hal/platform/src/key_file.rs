@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::fs::File;
-use std::io::{Read, Write};
+use std::io::{ErrorKind, Read, Write};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
@@ -100,19 +100,33 @@ pub fn read_key(file: &Path, bytes_min: usize) -> Result<Vec<u8>, KeyFileError> 
     key.ok_or_else(|| KeyFileError::NoKey { file: file.to_owned(), bytes_min })
 }
 
+/// Opens a regular file for reading. A named pipe would block the program, and a device may never end.
+///
+/// # Errors
+/// If the file cannot be opened; of the kind [`ErrorKind::InvalidInput`] if it is no regular file.
+pub fn open_regular(file: &Path) -> std::io::Result<File> {
+    let opened = File::options().read(true).custom_flags(libc::O_NONBLOCK).open(file)?;
+    // Of the open file: the name may lead elsewhere a moment later.
+    match opened.metadata()?.is_file() {
+        true => Ok(opened),
+        false => {
+            let text = "not a regular file; copy the content into a file, and name this file";
+            Err(std::io::Error::new(ErrorKind::InvalidInput, text))
+        }
+    }
+}
+
 /// Reads the text of a secret, at most 4 KiB: the owner must be the user of this program, the mode 0600 or 0400.
 ///
 /// # Errors
 /// If the file cannot be read, or others can read it.
 pub fn read_secret(file: &Path) -> Result<Vec<u8>, KeyFileError> {
-    let read = |source| KeyFileError::Read { file: file.to_owned(), source };
-    // A named pipe would block.
-    let opened = File::options().read(true).custom_flags(libc::O_NONBLOCK).open(file).map_err(read)?;
-    // Of the open file: the name may lead elsewhere a moment later.
+    let read = |source: std::io::Error| match source.kind() {
+        ErrorKind::InvalidInput => KeyFileError::NotRegular { file: file.to_owned() },
+        _ => KeyFileError::Read { file: file.to_owned(), source },
+    };
+    let opened = open_regular(file).map_err(read)?;
     let found = opened.metadata().map_err(read)?;
-    if !found.is_file() {
-        return Err(KeyFileError::NotRegular { file: file.to_owned() });
-    }
     let (mode, owner, user) = (found.mode() & 0o7777, found.uid(), rustix::process::geteuid().as_raw());
     if owner != user {
         return Err(KeyFileError::Owner { file: file.to_owned(), owner, user });

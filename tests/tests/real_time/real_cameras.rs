@@ -217,7 +217,8 @@ fn rests_with_exchanged_cameras() {
         let moved = steps.iter().rposition(|to| ["approaching", "tracking"].contains(to));
         let rests = steps.iter().rposition(|to| *to == "holding");
         assert!(moved.is_some() && rests > moved, "{steps:?}");
-        assert!(summary.pairs_lost > 20, "{} pairs lost", summary.pairs_lost);
+        // Each one that is refused is compared in four orders.
+        assert!(summary.pairs_lost > 10, "{} pairs lost", summary.pairs_lost);
     }
 }
 

@@ -37,8 +37,9 @@ pub fn run(case: &Prepared, method: Method, repeat: u32) -> Entry {
 
 fn fill(entry: &mut Entry, case: &Prepared, method: Method, repeat: u32) -> anyhow::Result<()> {
     let mut estimator = Estimator::new(method, &case.rig, &EstimatorConfig::default())?;
-    let (prepared, rows_ms) = timed(|| estimator.prepare(&case.images.left, &case.images.right));
-    entry.rows_ms = prepared?.map(|_| rows_ms);
+    let (prepared, rows_ms) = timed(|| estimator.look(&case.images.left, &case.images.right));
+    prepared?;
+    entry.rows_ms = (method == Method::Direct).then_some(rows_ms);
     let mut estimate_timed = || {
         timed(|| {
             estimator.estimate(EstimateRequest::of_target(

@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::Context;
+use pb3dp_estimation::rig_watch::RigWatch;
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod};
-use pb3dp_estimation_core::row_offset::RowOffset;
 use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
 use pb3dp_geometry::ImageSize;
 use pb3dp_record::metrics;
@@ -75,7 +75,7 @@ impl SizeRow {
 
 fn problem<'a>(clip: &'a Clip, region: &'a pb3dp_estimation_core::region::Region) -> Problem<'a> {
     let (left, right) = &clip.pairs[0];
-    Problem { rig: &clip.rig, left, right, region, range: &SEARCH, rows: RowOffset::default() }
+    Problem { rig: &clip.rig, left, right, region, range: &SEARCH }
 }
 
 /// Square regions of a textured wall, with a search range of 60 px of disparity.
@@ -208,8 +208,12 @@ pub fn real(folder: &Path, rounds: usize, every: usize) -> anyhow::Result<RealRo
 fn case_times(case: &cases::Prepared, rounds: usize) -> anyhow::Result<CaseTimes> {
     let (left, right) = (&case.images.left, &case.images.right);
     let mut estimator = DirectEstimator::new(&case.rig, DirectConfig::default())?;
-    let (measured, rows_ms) = timed(|| estimator.measure_rows(left, right));
-    let rows = measured?.rows;
+    let mut watch = RigWatch::new(&case.rig)?;
+    let (measured, rows_ms) = timed(|| watch.look(left, right));
+    let _ = measured?;
+    if let Some(errors) = watch.errors() {
+        estimator.correct_rig(watch.rig(), errors)?;
+    }
     let (first, first_ms) =
         timed(|| estimator.estimate(EstimateRequest::of_target(left, right, &case.region, &case.range)));
     first?;
@@ -217,7 +221,7 @@ fn case_times(case: &cases::Prepared, rounds: usize) -> anyhow::Result<CaseTimes
         estimator.estimate(EstimateRequest::of_target(left, right, &case.region, &case.range))?;
         Ok(())
     })?;
-    let problem = Problem { rig: &case.rig, left, right, region: &case.region, range: &case.range, rows };
+    let problem = Problem { rig: &case.rig, left, right, region: &case.region, range: &case.range };
     let mut stages_ms = Vec::new();
     // A region without any comparable pixels has no stages.
     if let Ok(bench) = StageBench::new(problem, Kernels::best()) {

@@ -5,7 +5,6 @@ use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
-use pb3dp_estimation_core::row_offset::RowOffset;
 use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
 use pb3dp_geometry::ImageSize;
 use pb3dp_hal_platform::cpu_time::timed;
@@ -154,7 +153,7 @@ fn stages(entries: &[Entry], side_px: u32, rounds: usize) -> anyhow::Result<Vec<
     let benches = entries.iter().zip(&regions).map(|(entry, region)| {
         let (left, right) = &entry.clip.pairs[0];
         let (rig, range) = (&entry.clip.rig, &entry.range);
-        StageBench::new(Problem { rig, left, right, region, range, rows: RowOffset::default() }, Kernels::best())
+        StageBench::new(Problem { rig, left, right, region, range }, Kernels::best())
     });
     let mut benches = benches.collect::<anyhow::Result<Vec<_>>>()?;
     run_in_turn(&mut benches, rounds)?;
@@ -171,7 +170,7 @@ fn stages(entries: &[Entry], side_px: u32, rounds: usize) -> anyhow::Result<Vec<
 pub fn kernels(rounds: usize) -> anyhow::Result<KernelRow> {
     let (clip, range, region) = (wall_through(Lenses::Brown, SIZE)?, search_of(SIZE), square(SIZE, SIDES_PX[1]));
     let (left, right) = &clip.pairs[0];
-    let problem = Problem { rig: &clip.rig, left, right, region: &region, range: &range, rows: RowOffset::default() };
+    let problem = Problem { rig: &clip.rig, left, right, region: &region, range: &range };
     let benches = Kernels::available().map(|kernels| StageBench::new(problem, kernels));
     let mut benches = benches.collect::<anyhow::Result<Vec<_>>>()?;
     run_in_turn(&mut benches, rounds)?;

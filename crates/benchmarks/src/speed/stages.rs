@@ -8,7 +8,6 @@ use pb3dp_estimation_core::cpu::{KernelSet, Kernels};
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::{Region, RegionMask};
-use pb3dp_estimation_core::row_offset::RowOffset;
 use pb3dp_estimation_direct::colour_planes::Wanted;
 use pb3dp_estimation_direct::disparity_plane::{DisparityPlane, DisparityRange};
 use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
@@ -37,8 +36,6 @@ pub struct Problem<'a> {
     pub region: &'a Region,
     /// Search range of depths and tilts.
     pub range: &'a SearchRange,
-    /// Known vertical misalignment.
-    pub rows: RowOffset,
 }
 
 /// A stage of the cold start.
@@ -120,7 +117,6 @@ impl<'a> StageBench<'a> {
     pub fn new(problem: Problem<'a>, kernels: Kernels) -> anyhow::Result<Self> {
         let config = DirectConfig::default();
         let mut estimator = DirectEstimator::with_kernels(problem.rig, config.clone(), kernels)?;
-        estimator.set_rows(problem.rows);
         let found = estimator.estimate(EstimateRequest::of_target(
             problem.left,
             problem.right,
@@ -181,13 +177,13 @@ impl<'a> StageBench<'a> {
     fn run(&mut self, stage: Stage) -> anyhow::Result<()> {
         let Self { problem, kernels, pyramid, config, .. } = self;
         let (search, kernels) = (&config.cold_start.search, *kernels);
-        let Problem { left, right, rows, .. } = *problem;
+        let Problem { left, right, .. } = *problem;
         let source = PyramidSource {
             left: left.into(),
             right: right.into(),
             region: &self.mask,
             disparity_px: self.disparity_px,
-            rows,
+            rows: Default::default(),
             wanted: Wanted::Luminance,
             search_area_px: config.cold_start.search_area_px,
         };

@@ -5,9 +5,10 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result};
 use clap::Args;
-use pb3dp_geometry::StereoRig;
+use pb3dp_camera_recordings::{CalibrationOptions, parse_size};
+use pb3dp_geometry::{ImageSize, StereoRig};
 use pb3dp_record::calibration_files::{
-    Judgement, load_stereo, save_json, save_judged, save_kalibr, save_opencv, save_ros_pair,
+    Judgement, load_stated, save_json, save_judged, save_kalibr, save_opencv, save_ros_pair,
 };
 
 /// Arguments of `pb3dp calibrate convert`.
@@ -16,6 +17,12 @@ pub(super) struct ConvertArgs {
     /// The calibration: one file, a left and a right file, or a folder. The format is detected from the contents.
     #[arg(required = true, value_name = "FILE", num_args = 1..=2)]
     from: Vec<PathBuf>,
+    /// Size of the images that the new file is for: that of the old one if it states none, otherwise the old one is scaled (--calib-size).
+    #[arg(long, value_name = "WxH", value_parser = parse_size)]
+    size: Option<ImageSize>,
+    /// What the old file does not state.
+    #[command(flatten)]
+    calibration: CalibrationOptions,
     /// Output file: .json (our own), Kalibr camchain (.kalibr.yaml), OpenCV (.opencv.yaml), or a folder for the ROS pair
     /// left.yaml and right.yaml. These formats lose the quality data of our .toml.
     #[arg(long, value_name = "FILE")]
@@ -23,8 +30,8 @@ pub(super) struct ConvertArgs {
 }
 
 pub(super) fn run(args: &ConvertArgs) -> Result<ExitCode> {
-    let calibration = load_stereo(&args.from)?;
-    for note in &calibration.notes {
+    let calibration = load_stated(&args.from, args.size, &args.calibration.stated())?.decided()?;
+    for note in calibration.notes.iter().chain(&calibration.warnings) {
         super::tell(&format!("note: {note}"))?;
     }
     super::tell(&format!("read {}: {}", calibration.format, calibration.source))?;

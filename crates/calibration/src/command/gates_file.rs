@@ -5,6 +5,7 @@ use std::path::Path;
 use crate::gates::{Gate, Limit, Limits};
 use crate::hand_eye::gates::{HandEyeGate, HandEyeLimits};
 use anyhow::{Context, Result, bail};
+use pb3dp_record::text_file::read_text;
 
 /// Reads a file like `configs/calibration_gates.toml`: a table `gates` with all gates, each with `good` and `refused`.
 pub(super) fn read(file: &Path) -> Result<Limits> {
@@ -17,7 +18,7 @@ pub(super) fn read_hand_eye(file: &Path) -> Result<HandEyeLimits> {
 }
 
 fn read_with<T>(file: &Path, parse: impl Fn(&str) -> Result<T>) -> Result<T> {
-    let text = std::fs::read_to_string(file).with_context(|| format!("{}: cannot read file", file.display()))?;
+    let text = read_text(file).with_context(|| format!("{}: cannot read file", file.display()))?;
     parse(&text).with_context(|| format!("{}: invalid gate limits", file.display()))
 }
 

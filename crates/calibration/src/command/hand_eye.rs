@@ -78,7 +78,7 @@ impl Recording {
         let [columns, rows] = self.board;
         let board = Chessboard::new(columns, rows, self.square * 1e-3)?;
         let calibration = load_stereo(&self.calib)?;
-        for note in &calibration.notes {
+        for note in calibration.notes.iter().chain(&calibration.warnings) {
             tell(&format!("note: {note}"))?;
         }
         let (mut stops, mut date, mut count) = (Vec::new(), String::new(), 0);

@@ -7,6 +7,7 @@ use crate::verify::touch::{Touch, TouchResult, touched};
 use anyhow::{Context, Result, bail};
 use nalgebra::{Isometry3, Point3};
 use pb3dp_record::calibration_files::load_hand_eye;
+use pb3dp_record::text_file::read_text;
 
 use super::DetectedBoards;
 
@@ -15,7 +16,7 @@ const PLACES_MIN: usize = 3;
 
 /// Positions of the touched corners computed from the cameras, the hand-eye calibration and the stops of a recording.
 pub(super) fn run(known: &Known, seen: &DetectedBoards<2>, hand_eye: &Path, file: &Path) -> Result<Vec<TouchResult>> {
-    let text = std::fs::read_to_string(file).with_context(|| format!("{}: cannot read file", file.display()))?;
+    let text = read_text(file).with_context(|| format!("{}: cannot read file", file.display()))?;
     let touches = parse(&text).with_context(|| format!("{}: invalid touch test", file.display()))?;
     let flange_from_cam_left = load_hand_eye(hand_eye)?.flange_from_cam_left;
     let recorded = seen.stops.as_ref().context("the touch test needs a recording of stops")?;

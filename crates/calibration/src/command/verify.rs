@@ -64,7 +64,7 @@ pub(super) fn run(args: &VerifyArgs) -> Result<ExitCode> {
     let depth_m = args.distance * 1e-3;
     let made = calibration.judgement.as_ref().map_or_else(String::new, |judgement| format!(", of {}", judgement.date));
     tell(&format!("{}{made}: baseline {:.3} mm", calibration.source, known.rig.baseline_m() * 1e3))?;
-    for note in &calibration.notes {
+    for note in calibration.notes.iter().chain(&calibration.warnings) {
         tell(&format!("note: {note}"))?;
     }
     let mut gates = Vec::new();

@@ -5,10 +5,11 @@ use std::path::Path;
 use crate::gates::Limit;
 use crate::verify::limits::{Check, VerifyLimits};
 use anyhow::{Context, Result, bail};
+use pb3dp_record::text_file::read_text;
 
 /// Reads a file like `configs/calibration_verify.toml`: a table `checks` with all checks, each with `good` and `refused`.
 pub(super) fn read(file: &Path) -> Result<VerifyLimits> {
-    let text = std::fs::read_to_string(file).with_context(|| format!("{}: cannot read file", file.display()))?;
+    let text = read_text(file).with_context(|| format!("{}: cannot read file", file.display()))?;
     parse(&text).with_context(|| format!("{}: invalid check limits", file.display()))
 }
 

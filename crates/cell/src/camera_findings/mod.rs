@@ -3,16 +3,15 @@
 mod finding;
 
 use image::RgbImage;
-use pb3dp_estimation::estimator::RowMeasurement;
 use pb3dp_estimation::pair_check::{PairCheck, PairVerdict, check_pair};
+use pb3dp_estimation::rig_watch::{MATCHES_MIN, RowMeter};
+use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_geometry::StereoRig;
 use pb3dp_hal_api::FramePair;
 
 pub use self::finding::{Finding, Limits};
-use crate::image_quality::{
-    EDGE_MIN_GREY, EDGES_MIN, Exposure, MATCHES_MIN, RowMeter, blur_of, brighter_by_percent, softer_by_px,
-};
+use crate::image_quality::{EDGE_MIN_GREY, EDGES_MIN, Exposure, blur_of, brighter_by_percent, softer_by_px};
 
 /// Share of saturated or black pixels, percent: a lamp or its reflection, a black background.
 const BRIGHT_MAX_PERCENT: f64 = 2.0;
@@ -45,7 +44,7 @@ pub struct ImageChecks {
 impl ImageChecks {
     /// Checks for this calibration; without one, `rows` and `sides` are not checked.
     pub fn new(rig: Option<&StereoRig>) -> Self {
-        Self { calibrated: rig.map(|rig| (*rig, RowMeter::new(rig))) }
+        Self { calibrated: rig.map(|rig| (*rig, RowMeter::new(rig, Kernels::best()))) }
     }
 
     /// All measurements of some pairs of one scene.
@@ -193,14 +192,14 @@ fn rows(samples: &[&FramePair], meter: Option<&mut Result<RowMeter, EstimationEr
         Ok(meter) => meter,
         Err(error) => return does_not_fit(error),
     };
-    let measured: Result<Vec<RowMeasurement>, _> = samples.iter().map(|pair| meter.measure(pair)).collect();
+    let measured: Result<Vec<_>, _> = samples.iter().map(|pair| meter.measure(&pair.left, &pair.right, None)).collect();
     let mut measured = match measured {
         Ok(measured) => measured,
         Err(error) => return does_not_fit(&error),
     };
     let most = measured.iter().map(|one| one.matches).max().unwrap_or_default();
-    measured.retain(|one| one.matches >= MATCHES_MIN);
-    measured.sort_by(|a, b| meter.worst_px(a).total_cmp(&meter.worst_px(b)));
+    measured.retain(|one| one.matches > 0);
+    measured.sort_by(|a, b| meter.largest_px(a).total_cmp(&meter.largest_px(b)));
     let Some(middle) = measured.get(measured.len() / 2) else {
         let found = format!("only {most} points are found in both images, {MATCHES_MIN} are needed");
         let advice = "show both cameras a scene with much texture, 300 to 800 mm away; if they see one, the calibration is far off";
@@ -208,10 +207,12 @@ fn rows(samples: &[&FramePair], meter: Option<&mut Result<RowMeter, EstimationEr
     };
     let found = format!(
         "{:+.2} px at the centre, each point {:.2} px around it, {} points",
-        middle.rows.offset_px, middle.spread_px, middle.matches
+        meter.centre_px(middle),
+        middle.spread_px,
+        middle.matches
     );
     let advice = "the cameras have moved against each other, or the calibration is of others: screw them down, let them warm up, and calibrate again";
-    Finding::judged(CHECK, (meter.worst_px(middle), "px off at worst"), Limits::at_most(ROWS_MAX_PX), found, advice)
+    Finding::judged(CHECK, (meter.largest_px(middle), "px off at worst"), Limits::at_most(ROWS_MAX_PX), found, advice)
 }
 
 #[cfg(test)]

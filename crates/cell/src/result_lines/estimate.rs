@@ -2,6 +2,7 @@
 
 use nalgebra::Vector2;
 use pb3dp_estimation_core::estimate::{PlaneEstimate, SecondPlane};
+use pb3dp_estimation_core::status::SCHEMA_VERSION;
 use pb3dp_record::plain_zero::plain_zero;
 use serde::Serialize;
 
@@ -10,11 +11,13 @@ use super::millimetres::{covariance_mm, row_major_mm};
 /// The result of one case, in the units of the interface; the order of the fields is that of the JSON line.
 #[derive(Clone, Debug, Serialize)]
 pub struct EstimateLine {
+    /// [`SCHEMA_VERSION`].
+    pub schema_version: u32,
     /// Name of the case.
     pub case: String,
     /// Name of the method.
     pub method: &'static str,
-    /// `ok`, `weak-tilt`, `ambiguous`, `not-observable` or `error`.
+    /// `ok`, `weak-tilt`, `ambiguous`, `miscalibrated`, `not-observable` or `error`.
     pub status: &'static str,
     /// Depth of the plane on the ray of the region's centroid, millimetres.
     pub z_mm: Option<f64>,
@@ -94,6 +97,7 @@ impl EstimateLine {
     /// A failed case with its reason.
     pub fn of_error(case: &str, method: &'static str, reason: String) -> Self {
         Self {
+            schema_version: SCHEMA_VERSION,
             case: case.to_owned(),
             method,
             status: "error",

@@ -1,6 +1,7 @@
 //! The line of one target in one frame of a sequence.
 
 use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_estimation_core::status::SCHEMA_VERSION;
 use pb3dp_record::plain_zero::plain_zero;
 use serde::Serialize;
 
@@ -9,6 +10,8 @@ use super::millimetres::{covariance_mm, row_major_mm};
 /// The result of one frame, in the units of the interface; the order of the fields is that of the JSON line.
 #[derive(Clone, Debug, Serialize)]
 pub struct TrackLine {
+    /// [`SCHEMA_VERSION`].
+    pub schema_version: u32,
     /// Frame number, from 0.
     pub frame: usize,
     /// Target number, only for several targets: 0 is that of the sequence, followed by those of the command line.
@@ -16,7 +19,7 @@ pub struct TrackLine {
     pub target: Option<usize>,
     /// Mid-exposure, seconds.
     pub t_s: f64,
-    /// `ok`, `weak-tilt`, `partly-observed`, `ambiguous`, `not-observable`, `lost` or `error`.
+    /// `ok`, `weak-tilt`, `partly-observed`, `ambiguous`, `miscalibrated`, `not-observable`, `lost` or `error`.
     pub status: &'static str,
     /// Row-major homogeneous matrix, millimetres.
     pub cam_left_from_model: Option<[f64; 16]>,
@@ -60,6 +63,7 @@ impl TrackLine {
     /// A frame or a target without an estimate, with the reason.
     pub fn of_error(frame: usize, t_s: f64, reason: &str) -> Self {
         Self {
+            schema_version: SCHEMA_VERSION,
             frame,
             target: None,
             t_s,
@@ -126,8 +130,11 @@ mod tests {
         };
         let one = json(&TrackLine::all_of_error(4, 0.25, 1, "no file"));
         assert_eq!(one.len(), 1);
-        assert!(one[0].starts_with(r#"{"frame":4,"t_s":0.25,"status":"error","#) && !one[0].contains("target"));
+        assert!(
+            one[0].starts_with(r#"{"schema_version":1,"frame":4,"t_s":0.25,"status":"error","#)
+                && !one[0].contains("target")
+        );
         let two = json(&TrackLine::all_of_error(4, 0.25, 2, "no file"));
-        assert!(two[1].starts_with(r#"{"frame":4,"target":1,"t_s":0.25,"#), "{two:?}");
+        assert!(two[1].starts_with(r#"{"schema_version":1,"frame":4,"target":1,"t_s":0.25,"#), "{two:?}");
     }
 }

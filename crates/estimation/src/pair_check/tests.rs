@@ -94,6 +94,25 @@ fn exchanged_images_are_swapped() {
     }
 }
 
+/// A driver may mirror or turn both images: they look exchanged, and exchanging them would give a mirrored world.
+#[test]
+fn mirrored_and_turned_images_are_named_beside_exchanged_ones() {
+    for rig in [rectified(0.0), rectified(-8.0)] {
+        let (left, right) = render(&rig, 6);
+        let mirrored = [&left, &right].map(image::imageops::flip_horizontal);
+        let turned = [&left, &right].map(image::imageops::rotate180);
+        for ([left, right], named, both) in [(mirrored, "mirrored", 0), (turned, "turned by 180 degrees", 1)] {
+            let check = check_pair(&rig, &left, &right);
+            assert!(
+                check.verdict == PairVerdict::Swapped && [check.fits_mirrored, check.fits_turned][both],
+                "{check:?}"
+            );
+            let message = check.accepted().expect_err("exchanged").to_string();
+            assert!(message.contains("left and right look exchanged") && message.contains(named), "{message}");
+        }
+    }
+}
+
 /// `u_left - u_right` is negative everywhere although the scene is in front: the sign of the disparity has no meaning.
 #[test]
 fn depth_is_judged_by_inverse_depth() {

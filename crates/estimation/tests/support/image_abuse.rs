@@ -37,7 +37,7 @@ pub fn images_in_any_form_survive(bytes: &[u8]) {
         let mut answers = vec![format!("{:?}", check_pair(&rig, left, right))];
         let target = || EstimateRequest::of_target(left, right, &region, &range);
         if let Ok(mut estimator) = Estimator::new(method, &rig, &EstimatorConfig::default()) {
-            answers.push(format!("{:?}", estimator.prepare(left, right)));
+            answers.push(format!("{:?}", estimator.look(left, right)));
             answers.push(format!("{:?}", estimator.estimate(target())));
         }
         if let Ok(mut tracker) = Tracker::new(method, &rig, &EstimatorConfig::default()) {

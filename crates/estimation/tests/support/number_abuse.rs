@@ -138,7 +138,7 @@ pub fn calibrations_with_any_numbers_survive(bytes: &[u8]) {
     let range = SearchRange { z_min_m: c.number(0.3), z_max_m: c.number(0.9), tilt_max_rad: c.number(0.7) };
     let method = c.of(&Method::ALL);
     if let Ok(mut estimator) = Estimator::new(method, &rig, &EstimatorConfig::default()) {
-        let _ = estimator.prepare(left, right);
+        let _ = estimator.look(left, right);
         match estimator.estimate(EstimateRequest::of_target(left, right, &region, &range)) {
             Ok(estimate) => check_plane(method, &estimate),
             Err(error) => assert!(!error.to_string().is_empty(), "{method}: a silent error"),

@@ -64,7 +64,8 @@ impl Texture {
         Self((0..GRID * GRID).map(colour).collect())
     }
 
-    fn at(&self, x_mm: f64, y_mm: f64) -> [f32; 3] {
+    /// The colour at a place.
+    pub fn at(&self, x_mm: f64, y_mm: f64) -> [f32; 3] {
         let place = |mm: f64| {
             let at = (mm / PERIOD_MM).rem_euclid(1.0) * GRID as f64;
             let cell = at as usize;
@@ -126,7 +127,7 @@ impl Plane {
     }
 
     /// Depth along a ray from `origin`, and coordinates in the plane, millimetres.
-    fn cut(&self, origin: &Vector3<f64>, ray: &Vector3<f64>) -> (f64, f64, f64) {
+    pub fn cut(&self, origin: &Vector3<f64>, ray: &Vector3<f64>) -> (f64, f64, f64) {
         let t = self.normal.dot(&(self.point - origin)) / self.normal.dot(ray);
         let at = origin + ray * t - self.point;
         let x_axis = (Vector3::x() - self.normal * self.normal.x).normalize();

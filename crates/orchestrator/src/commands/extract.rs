@@ -8,7 +8,7 @@ use clap::Args;
 use pb3dp_cell::terminal::print_line;
 use pb3dp_record::calibration_files::{save_json, save_judged};
 use pb3dp_record::images::{StoredFormat, save};
-use pb3dp_wiring::{RecordedPairs, RecordingOptions, calibration_of};
+use pb3dp_wiring::{RecordedPairs, TimedRecordingOptions, calibration_of};
 
 use crate::progress::Progress;
 
@@ -26,7 +26,7 @@ pub struct ExtractArgs {
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
     every: u64,
     #[command(flatten)]
-    how: RecordingOptions,
+    how: TimedRecordingOptions,
 }
 
 /// Runs the command. A damaged image costs its pair, and the exit code is then a failure.
@@ -34,7 +34,7 @@ pub struct ExtractArgs {
 /// # Errors
 /// A recording that cannot be used, or a folder that is not empty or cannot be written.
 pub fn run(args: &ExtractArgs) -> Result<ExitCode> {
-    let mut pairs = RecordedPairs::open(&args.recording, &args.how)?;
+    let mut pairs = RecordedPairs::open(&args.recording, &args.how.all())?.with_first_calibration()?;
     if std::fs::read_dir(&args.out).is_ok_and(|mut entries| entries.next().is_some()) {
         bail!("--out {}: is not empty; give another folder", args.out.display());
     }
@@ -72,13 +72,16 @@ pub fn run(args: &ExtractArgs) -> Result<ExitCode> {
 
 /// Writes the calibration of the recording beside the images, where `--calib` and `track --sequence` find it.
 fn write_calibration(args: &ExtractArgs) -> Result<()> {
-    let calibration = match calibration_of(&args.recording, &args.how) {
+    let calibration = match calibration_of(&args.recording, &args.how.all()) {
         Ok(calibration) => calibration,
         Err(error) => {
             tracing::info!("no calibration is written: {:#}", anyhow::Error::new(error));
             return Ok(());
         }
     };
+    for warning in &calibration.warnings {
+        tracing::warn!("{warning}");
+    }
     if let Some(statement) = &calibration.not_measured {
         tracing::info!("no calibration is written: that of the recording is not measured ({statement})");
         return Ok(());

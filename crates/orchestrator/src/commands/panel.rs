@@ -69,6 +69,8 @@ struct Source {
     /// Controls of real cameras.
     controls: Option<ControlDesk>,
     range: SearchRange,
+    /// Whether the time between the exposures of a pair is known.
+    states_skew: bool,
 }
 
 /// Serves the page until a signal ends the command.
@@ -81,7 +83,7 @@ pub fn run(args: &PanelArgs) -> Result<ExitCode> {
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
     let mut source = match args.file.as_ref().or(args.sequence.as_ref()) {
         Some(path) => recorded((path, &args.choice.calib), &args.recording, &clock)?,
-        None => cameras(&args.choice, &clock)?,
+        None => cameras((&args.choice, &args.recording), &clock)?,
     };
     if let Some(ZRange { min_mm, max_mm }) = args.z_range {
         (source.range.z_min_m, source.range.z_max_m) = (min_mm * 1e-3, max_mm * 1e-3);
@@ -99,7 +101,7 @@ fn serve(
     opened: &mut dyn FnMut(&Panel) -> Result<()>,
     is_over: &mut dyn FnMut() -> bool,
 ) -> Result<()> {
-    let Source { mut camera, name, rig, calibration, controls, range } = source;
+    let Source { mut camera, name, rig, calibration, controls, range, states_skew } = source;
     let stereo = match rig {
         Some(rig) => rig,
         None => stand_in(camera.info().size)?,
@@ -118,12 +120,9 @@ fn serve(
     let config = PanelConfig { cameras: controls, ..config };
     let (panel, _, spectator) = Panel::start(config, Arc::clone(&clock), about)?;
     opened(&panel)?;
-    let images = ImagesOnly {
-        follower: Follower::new(tracker, range),
-        selections: panel.selections(),
-        spectator: Box::new(spectator),
-        clock,
-    };
+    let mut follower = Follower::new(tracker, range);
+    follower.watch_skew(!states_skew)?;
+    let images = ImagesOnly { follower, selections: panel.selections(), spectator: Box::new(spectator), clock };
     images.run(&mut *camera, is_over)
 }
 
@@ -132,7 +131,7 @@ fn recorded(
     asked: &RecordingOptions,
     clock: &Arc<dyn Clock>,
 ) -> Result<Source> {
-    let Recording { camera, search, notes, warnings, .. } =
+    let Recording { camera, search, notes, warnings, states_skew, .. } =
         wire_endless_replay(path, calibration, asked, Arc::clone(clock)).context("--sequence")?;
     let calibration = camera.calibration().clone();
     for note in notes.iter().chain(&calibration.notes) {
@@ -153,11 +152,12 @@ fn recorded(
         calibration: Some(CalibrationFacts::of("camera", &calibration.source, calibration.judgement.as_ref())),
         controls: None,
         range: search.map_or_else(default_range, of_recording),
+        states_skew,
     })
 }
 
-fn cameras(choice: &CameraChoice, clock: &Arc<dyn Clock>) -> Result<Source> {
-    let chosen = choice.to_show()?;
+fn cameras((choice, asked): (&CameraChoice, &RecordingOptions), clock: &Arc<dyn Clock>) -> Result<Source> {
+    let chosen = choice.to_show(&asked.calibration.stated())?;
     let opened = open_cameras(&chosen.config, (video_system(), Arc::clone(clock)));
     let (camera, desk) = opened.context("the cameras cannot be used")?;
     if chosen.rig.is_none() {
@@ -169,7 +169,7 @@ fn cameras(choice: &CameraChoice, clock: &Arc<dyn Clock>) -> Result<Source> {
 fn of_cameras(chosen: Chosen, camera: Box<dyn StereoCamera>, desk: ControlDesk) -> Source {
     let Chosen { rig, calibration, target, .. } = chosen;
     let (name, range) = (camera.info().name.clone(), target.range.unwrap_or_else(default_range));
-    Source { camera, name, rig, calibration, controls: Some(desk), range }
+    Source { camera, name, rig, calibration, controls: Some(desk), range, states_skew: true }
 }
 
 fn default_range() -> SearchRange {

@@ -5,6 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use pb3dp_record::text_file::read_text;
 
 /// A file that every run writes, and two of its keys.
 const OF_A_RUN: &str = "summary.json";
@@ -81,7 +82,7 @@ fn holds_run(folder: &Path) -> Result<bool> {
     if !file.exists() {
         return Ok(false);
     }
-    let text = fs::read_to_string(&file).unwrap_or_default();
+    let text = read_text(&file).unwrap_or_default();
     let keys = serde_json::from_str::<serde_json::Value>(&text).unwrap_or_default();
     if !ITS_KEYS.iter().all(|key| keys.get(key).is_some()) {
         bail!(

@@ -478,3 +478,40 @@ fn a_longer_age_of_a_lost_target_needs_a_commissioning_record() {
     ]);
     assert!(listener.accept().is_err(), "a port was opened");
 }
+
+/// A pipe would block the program, and a device would fill its memory.
+#[test]
+fn only_regular_files_are_read() {
+    let pair = Pair::new();
+    let (pipe, device) = (pair.file("pipe.png"), Path::new("/dev/zero"));
+    rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, rustix::fs::Mode::RUSR).unwrap();
+    let [left, right, calibration] = ["left.png", "right.png", "calib.json"].map(|name| pair.file(name));
+    let mask = format!("mask:{}", pipe.display());
+    let is_pipe = ["pipe.png: ", "it is a named pipe (FIFO), not a regular file; copy the content into a file"];
+    let is_device = ["/dev/zero: ", "it is a device, not a regular file"];
+    pb3dp(&pair.words(&pipe, &right, &calibration, REGION)).assert_refused(&is_pipe);
+    pb3dp(&pair.words(&left, device, &calibration, REGION)).assert_refused(&is_device);
+    pb3dp(&pair.words(&left, &right, &pipe, REGION)).assert_refused(&is_pipe);
+    pb3dp(&pair.words(&left, &right, &calibration, &mask)).assert_refused(&is_pipe);
+    let gates = |file: &Path| {
+        let board: [&dyn AsRef<OsStr>; 6] = [&"calibrate", &"stereo", &"--board", &"9x6", &"--square", &"25"];
+        let files: [&dyn AsRef<OsStr>; 6] = [&"--recording", &left, &"--out", &"none.toml", &"--gates", &file];
+        pb3dp(&words(&[board, files].concat()))
+    };
+    gates(&pipe).assert_refused(&is_pipe);
+    gates(device).assert_refused(&is_device);
+    for (name, is_in_folder) in [
+        ("case.json", true),
+        ("sequence.json", true),
+        ("sequence.json", false),
+        ("bag.mcap", false),
+        ("words.txt", false),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let pipe = folder.path().join(name);
+        rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, rustix::fs::Mode::RUSR).unwrap();
+        let path = if is_in_folder { folder.path() } else { &pipe };
+        let args: [&dyn AsRef<OsStr>; 5] = [&"track", &"--sequence", &path, &"--region", &REGION];
+        pb3dp(&words(&args)).assert_refused(&[name, is_pipe[1]]);
+    }
+}

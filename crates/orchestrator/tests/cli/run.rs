@@ -531,3 +531,19 @@ fn a_recording_whose_program_is_killed_can_be_tracked() {
     let again = words(&[&"run", &"--config", &config, &"--out", &dir.path().join("again"), &"--record", &recording]);
     pb3dp(&again).assert_refused(&["sequence.unfinished.jsonl already exists; give an empty folder"]);
 }
+
+#[test]
+fn the_log_says_how_far_the_cameras_have_moved() {
+    let dir = tempfile::tempdir().unwrap();
+    let config = setup(dir.path(), &[]);
+    let fault = "\n[[camera.faults]]\nkind = \"miscalibrated\"\nfrom_s = 1.0\nuntil_s = 9.0\ncolumns_px = 0.0\nrows_px = 0.0\nroll_deg = 0.5\n\
+                 scale = 1.0\n";
+    std::fs::write(&config, std::fs::read_to_string(&config).unwrap() + fault).unwrap();
+    let out = dir.path().join("out");
+    let run: [&dyn AsRef<std::ffi::OsStr>; 9] =
+        [&"run", &"--config", &config, &"--out", &out, &"--set", &"scene.target=card", &"--stop-after", &"3"];
+    let finished = pb3dp(&words(&run)).assert_success();
+    let said: Vec<_> =
+        finished.stderr.lines().filter(|line| line.contains("miscalibrated: rows of the images")).collect();
+    assert!(said.len() == 1 && said[0].contains("roll 0.5") && said[0].contains("WARN"), "{}", finished.stderr);
+}

@@ -90,7 +90,8 @@ impl Finished {
 
 fn json_line(line: &str, keys: &[&str]) -> Value {
     let value: Value = serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}"));
-    assert_eq!(value.as_object().unwrap().len(), keys.len(), "{line}");
+    assert_eq!(value["schema_version"], 1, "{line}");
+    assert_eq!(value.as_object().unwrap().len(), keys.len() + 1, "{line}");
     let places: Vec<_> = keys.iter().map(|key| line.find(&format!("\"{key}\":")).unwrap_or(usize::MAX)).collect();
     assert!(places.is_sorted() && places.last() < Some(&usize::MAX), "keys {keys:?} in this order: {line}");
     value

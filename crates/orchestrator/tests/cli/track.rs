@@ -4,12 +4,13 @@ use std::ffi::OsStr;
 use std::path::Path;
 
 use pb3dp_bag::cdr::Bytes;
-use pb3dp_bag::messages::{Header, Image};
+use pb3dp_bag::messages::{CameraInfo, Header, Image, RegionOfInterest};
 use pb3dp_bag::topics::ours;
 use pb3dp_bag::writer::{BagWriter, WhenFull};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Target};
+use pb3dp_record::calibration_files::ros_camera_infos;
 use pb3dp_record::dataset::{SearchRange, SequenceDraft, SequenceWriter, WrittenFrame};
 use pb3dp_record::images::{StoredFormat, load_rgb};
 use pb3dp_sim::targets::TargetConfig;
@@ -381,19 +382,41 @@ fn a_bright_board_is_followed_as_a_whole() {
     }
 }
 
-/// Writes the images of a sequence into a recording of ROS 2 in this order, with stamps of the frames in `stamps`.
-fn as_bag(sequence: &Path, file: &Path, stamps: &[usize]) {
+/// Writes the images of a sequence into a recording of ROS 2 in this order, with stamps of the frames in `stamps`. With `changed_at`, each
+/// image has a `camera_info` after it; that of the right camera has another focal length from this frame on.
+fn as_bag(sequence: &Path, file: &Path, stamps: &[usize], changed_at: Option<usize>) {
     let mut writer = BagWriter::create(file, WhenFull::Wait).unwrap();
+    let infos = ros_camera_infos(&rig()).unwrap();
     for (number, &frame) in stamps.iter().enumerate() {
         let written_at = MonotonicTime::from_nanos(1_000_000 * number as u64);
         let stamp = MonotonicTime::from_nanos(2_000_000_000 + 33_000_000 * frame as u64);
-        for (topic, side) in [(ours::LEFT_IMAGE, "left"), (ours::RIGHT_IMAGE, "right")] {
+        let sides = [(ours::LEFT_IMAGE, ours::LEFT_INFO, "left"), (ours::RIGHT_IMAGE, ours::RIGHT_INFO, "right")];
+        for ((topic, info_topic, side), info) in sides.into_iter().zip(&infos) {
             let image = load_rgb(&sequence.join(format!("{side}_{number:04}.png"))).unwrap();
             let (width, height) = image.dimensions();
             let header = Header { stamp: stamp.into(), frame_id: side.to_owned() };
             let (encoding, data) = ("rgb8".to_owned(), Bytes(image.into_raw()));
-            let message = Image { header, height, width, encoding, is_bigendian: 0, step: 3 * width, data };
+            let message =
+                Image { header: header.clone(), height, width, encoding, is_bigendian: 0, step: 3 * width, data };
             writer.push(topic, written_at, &message);
+            let Some(changed_at) = changed_at else { continue };
+            let zoom = if side == "right" && frame >= changed_at { 1.1 } else { 1.0 };
+            let mut k = info.camera_matrix;
+            (k[0], k[4]) = (zoom * k[0], zoom * k[4]);
+            let message = CameraInfo {
+                header,
+                height,
+                width,
+                distortion_model: info.distortion_model.to_owned(),
+                d: info.distortion.clone(),
+                k,
+                r: info.rectification,
+                p: info.projection,
+                binning_x: 0,
+                binning_y: 0,
+                roi: RegionOfInterest::default(),
+            };
+            writer.push(info_topic, written_at, &message);
         }
     }
     writer.finish().unwrap();
@@ -416,7 +439,7 @@ fn pairs_whose_times_go_back_repeat_or_jump_are_left_out_and_named() {
         ("equal", [0; FRAMES], FRAMES, "all pairs have the same time, 2.000000 s"),
     ] {
         let bag = dir.path().join(format!("{name}.mcap"));
-        as_bag(&sequence, &bag, &stamps);
+        as_bag(&sequence, &bag, &stamps, None);
         let calib = sequence.join("calib.json");
         let region = "rect:140,110,60,60";
         let args: [&dyn AsRef<OsStr>; 8] =
@@ -428,5 +451,35 @@ fn pairs_whose_times_go_back_repeat_or_jump_are_left_out_and_named() {
         let args: [&dyn AsRef<OsStr>; 9] =
             [&"estimate", &"--sequence", &bag, &"--frame", &"3", &"--calib", &calib, &"--region", &region];
         pb3dp(&words(&args)).assert_success();
+    }
+}
+
+/// The calibration of the begin was used for all pairs.
+#[test]
+fn a_recording_ends_where_its_calibration_changes() {
+    let dir = tempfile::tempdir().unwrap();
+    let sequence = dir.path().join("sequence");
+    record(&sequence);
+    let stamps: Vec<usize> = (0..FRAMES).collect();
+    let warning = format!(
+        "the calibration changes at pair 4 ({}, 2.132000 s): 4 pairs are used, and 3 are not",
+        ours::RIGHT_INFO
+    );
+    for (name, changed_at, used) in [("changed", 4, 4), ("same", 100, FRAMES), ("at_once", 0, FRAMES)] {
+        let bag = dir.path().join(format!("{name}.mcap"));
+        as_bag(&sequence, &bag, &stamps, Some(changed_at));
+        let track = |more: &[&dyn AsRef<OsStr>]| {
+            let args: [&dyn AsRef<OsStr>; 6] =
+                [&"track", &"--sequence", &bag, &"--region", &"rect:140,110,60,60", &"--json"];
+            let finished = pb3dp(&words(&[&args, more].concat())).assert_success();
+            (finished.json_lines(&TRACK_KEYS).len(), finished.stderr.contains(&warning))
+        };
+        assert_eq!(track(&[]), (used, name == "changed"), "{name}");
+        // A calibration that the user gives holds for the whole recording.
+        assert_eq!(track(&[&"--calib", &sequence.join("calib.json")]), (FRAMES, false), "{name}");
+        let out = dir.path().join(name);
+        let extracted = pb3dp(&words(&[&"extract", &bag, &"--out", &out])).assert_success();
+        assert_eq!(std::fs::read_dir(out.join("right")).unwrap().count(), used);
+        assert_eq!(extracted.stderr.contains(&warning), name == "changed", "{}", extracted.stderr);
     }
 }

@@ -1,6 +1,7 @@
 //! The facts that do not change: `GET /api/info`.
 
 use pb3dp_cell::calibration_facts::CalibrationFacts;
+use pb3dp_estimation_core::status::SCHEMA_VERSION;
 use pb3dp_geometry::Camera;
 use pb3dp_kinematics::JointLimits;
 use serde::Serialize;
@@ -13,6 +14,7 @@ use crate::about::{About, AboutArm};
 #[derive(Clone, Debug, Serialize)]
 pub struct Info {
     protocol: u32,
+    schema_version: u32,
     version: String,
     setup: String,
     emulated: bool,
@@ -83,6 +85,7 @@ impl Info {
         let size = about.stereo.left().size();
         Self {
             protocol: PROTOCOL,
+            schema_version: SCHEMA_VERSION,
             version: about.version.clone(),
             setup: about.setup.clone(),
             emulated: about.is_emulated,

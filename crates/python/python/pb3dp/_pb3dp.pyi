@@ -41,7 +41,14 @@ def read_image(path: _Path) -> npt.NDArray[Any]: ...
 @final
 class StereoRig:
     @staticmethod
-    def load(*paths: _Path, image_size: tuple[int, int] | None = None) -> StereoRig: ...
+    def load(
+        *paths: _Path,
+        image_size: tuple[int, int] | None = None,
+        calibration_unit: str | None = None,
+        calibrated_size: tuple[int, int] | None = None,
+        lens: str | None = None,
+        rectified: bool = False,
+    ) -> StereoRig: ...
     def project_left(self, points_in_cam_left: _Floats) -> _Floats: ...
     @property
     def image_size(self) -> tuple[int, int]: ...
@@ -203,7 +210,7 @@ class Tracker:
         time_ns: int | None = None,
         deadline_ms: float | None = None,
         cam_left_prev_from_cam_left_now: _Floats | None = None,
-        skew_ns: int = 0,
+        skew_ns: int | None = None,
     ) -> TrackEstimate: ...
     def surface(self) -> tuple[_Floats, _Floats, _Floats, _Bytes]: ...
     @property
@@ -236,6 +243,12 @@ class Recording:
         topics: Sequence[str] | None = None,
         pair_within_ms: float = 3.0,
         value_range: tuple[int, int] | None = None,
+        skew_ms: float | None = None,
+        rate_hz: float | None = None,
+        calibration_unit: str | None = None,
+        calibrated_size: tuple[int, int] | None = None,
+        lens: str | None = None,
+        rectified: bool = False,
     ) -> Recording: ...
     def __len__(self) -> int: ...
     def __getitem__(self, key: int, /) -> Pair: ...

@@ -1,7 +1,7 @@
 //! A parsed YAML, JSON or TOML file; access errors name the file and the key.
 
 use std::fmt::Display;
-use std::io::Read;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use nalgebra::SMatrix;
@@ -9,6 +9,7 @@ use pb3dp_geometry::ImageSize;
 use serde_json::{Map, Value};
 
 use super::error::{CalibrationFileError, one_line};
+use crate::regular_file::read_regular;
 use crate::unique_json;
 
 /// Maximum size of a calibration file, bytes.
@@ -32,23 +33,12 @@ impl Document {
     /// Reads and parses a file: JSON or TOML by its extension, otherwise YAML.
     pub(super) fn read(file: &Path) -> Result<Self, CalibrationFileError> {
         let refuse = |reason: String| CalibrationFileError::Read { file: file.to_path_buf(), reason };
-        if !file.exists() {
-            return Err(refuse(
+        let bytes = read_regular(file, BYTES_MAX).map_err(|error| match error.kind() {
+            ErrorKind::NotFound => refuse(
                 "no such file; give the path of a calibration, or write one with `pb3dp calibrate stereo`".to_owned(),
-            ));
-        }
-        if file.is_dir() {
-            return Err(refuse("it is a directory".to_owned()));
-        }
-        if file.exists() && !file.is_file() {
-            return Err(refuse("it is no regular file, but a pipe, a socket or a device".to_owned()));
-        }
-        let mut bytes = Vec::new();
-        let open = std::fs::File::open(file).map_err(|error| refuse(one_line(&error)))?;
-        open.take(BYTES_MAX + 1).read_to_end(&mut bytes).map_err(|error| refuse(one_line(&error)))?;
-        if bytes.len() as u64 > BYTES_MAX {
-            return Err(refuse(format!("it is longer than {BYTES_MAX} bytes, so it is not a calibration")));
-        }
+            ),
+            _ => refuse(one_line(&error)),
+        })?;
         let text =
             std::str::from_utf8(&bytes).map_err(|_| CalibrationFileError::NoText { file: file.to_path_buf() })?;
         Self::parse(file, text)

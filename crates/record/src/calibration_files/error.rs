@@ -78,6 +78,16 @@ pub enum CalibrationFileError {
         /// How many.
         count: usize,
     },
+    /// The user states something else than the file.
+    #[error("{source_files}: {option}: {reason}")]
+    Stated {
+        /// The files.
+        source_files: String,
+        /// The option, with its value.
+        option: String,
+        /// What is wrong with it, and what to do.
+        reason: String,
+    },
     /// A rig that a format cannot represent.
     #[error("{format} cannot hold this calibration: {reason}")]
     NotRepresentable {

@@ -31,6 +31,8 @@ mod kalibr;
 pub mod opencv;
 mod pose;
 mod ros;
+mod sensor_window;
+mod stated;
 pub mod stops;
 mod write;
 
@@ -39,30 +41,135 @@ use std::path::{Path, PathBuf};
 
 use pb3dp_geometry::{ImageSize, StereoRig};
 
-use document::Document;
+use document::{Document, Node};
 pub use error::CalibrationFileError;
 use error::one_line;
 pub use hand_eye::{BoardPlace, HandEye};
 pub use identity::CameraIdentity;
 pub use judged::{JudgedGate, Judgement, ParameterCovariance};
 pub use ros::RosCameraInfo;
+pub use stated::{LengthUnit, LensModel, StatedCalibration};
 
 /// A checked stereo calibration and its source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StereoCalibration {
     /// The two cameras and the pose between them.
     pub rig: StereoRig,
+    /// The rig with equidistant (fisheye) lenses, if the file leaves the lens model unstated and `rig` is only one of two possible readings.
+    /// The images decide ([`Self::with_lens`]), or the calibration is refused ([`Self::decided`]).
+    pub other_lens: Option<StereoRig>,
     /// The format of the file or files.
     pub format: CalibrationFormat,
     /// The files, as the caller named them, for reports.
     pub source: String,
     /// Assumptions and omissions of the reader that the user should know, such as a unit of length.
     pub notes: Vec<String>,
+    /// Assumptions of the reader that can be wrong.
+    pub warnings: Vec<String>,
     /// The statement of the file if its numbers are not measured: `calibration_quality` of a `calib.json` that begins with
     /// `none`.
     pub not_measured: Option<String>,
     /// Origin and quality of the calibration, from our TOML file.
     pub judgement: Option<Judgement>,
+}
+
+impl StereoCalibration {
+    /// Refuses a calibration of which two readings are possible.
+    ///
+    /// # Errors
+    /// [`Self::other_lens`] is a possible reading.
+    pub fn decided(self) -> Result<Self, CalibrationFileError> {
+        match self.other_lens {
+            None => Ok(self),
+            Some(_) => Err(self.undecided_lens("both are possible")),
+        }
+    }
+
+    /// The refusal of an unstated lens model.
+    pub fn undecided_lens(&self, why: &str) -> CalibrationFileError {
+        CalibrationFileError::Stated {
+            source_files: self.source.clone(),
+            option: "--calib-lens".to_owned(),
+            reason: format!(
+                "the calibration has four coefficients and states no lens model: {} or {}; {why}; state it with --calib-lens brown or \
+                 --calib-lens equidistant, or with the key distortion_model (plumb_bob or fisheye)",
+                LensModel::BrownConrady,
+                LensModel::Equidistant
+            ),
+        }
+    }
+
+    /// One of two possible readings, with the reason for a warning.
+    #[must_use]
+    pub fn with_lens(mut self, lens: LensModel, because: &str) -> Self {
+        if let Some(other) = self.other_lens.take() {
+            if lens == LensModel::Equidistant {
+                self.rig = other;
+            }
+            self.warnings.push(format!(
+                "the calibration states no lens model: {lens} is used, because {because}; if this is wrong, state it with --calib-lens"
+            ));
+        }
+        self
+    }
+
+    /// The calibration as the user states it, for images of a known size, if it is known. The readers apply unit and lens model.
+    ///
+    /// # Errors
+    /// The file states something else; a rig that cannot be rectified.
+    pub fn as_stated(
+        mut self,
+        stated: &StatedCalibration,
+        images: Option<ImageSize>,
+    ) -> Result<Self, CalibrationFileError> {
+        let refuse = |option: String, reason: String| CalibrationFileError::Stated {
+            source_files: self.source.clone(),
+            option,
+            reason,
+        };
+        if self.format != CalibrationFormat::OpenCv {
+            for (name, value) in
+                [("unit", stated.unit.map(LengthUnit::name)), ("lens", stated.lens.map(LensModel::name))]
+            {
+                if let Some(value) = value {
+                    let reason = format!("a {} states this itself; leave the option out", self.format);
+                    return Err(refuse(format!("--calib-{name} {value}"), reason));
+                }
+            }
+        }
+        if stated.rectified {
+            if self.other_lens.is_some() {
+                return Err(self.undecided_lens("without P1 and P2 the rectified cameras depend on it"));
+            }
+            let rectified = self.rig.rectify().map_err(|error| refuse("--rectified".to_owned(), one_line(&error)))?;
+            self.rig = rectified.rig;
+        }
+        let made_for = self.rig.left().size();
+        if let Some(size) = stated.size {
+            let option = format!("--calib-size {}x{}", size.width, size.height);
+            if made_for != size {
+                let reason = format!(
+                    "the file states {}x{} pixels; leave the option out, or correct the file",
+                    made_for.width, made_for.height
+                );
+                return Err(refuse(option, reason));
+            }
+            if let Some(images) = images.filter(|images| *images != size) {
+                let scale =
+                    |rig: &StereoRig| stated::scaled(rig, images).map_err(|reason| refuse(option.clone(), reason));
+                (self.rig, self.other_lens) = (scale(&self.rig)?, self.other_lens.as_ref().map(scale).transpose()?);
+                self.notes.push(format!(
+                    "the calibration of {}x{} pixels is scaled to the images of {}x{}",
+                    size.width, size.height, images.width, images.height
+                ));
+            }
+        }
+        if stated.rectified || self.rig.left().size() != made_for {
+            // Its numbers are those of the cameras as calibrated.
+            self.judgement.iter_mut().for_each(|judgement| judgement.covariance = None);
+        }
+        Ok(self)
+    }
 }
 
 /// The formats that are read and written.
@@ -111,7 +218,7 @@ const IN_DIRECTORY: [&[&str]; 6] = [
 /// # Errors
 /// An invalid file; see [`CalibrationFileError`].
 pub fn load_stereo(paths: &[PathBuf]) -> Result<StereoCalibration, CalibrationFileError> {
-    load(paths, None)
+    load_stated(paths, None, &StatedCalibration::default())?.decided()
 }
 
 /// File name of the identities of the cameras of a recording.
@@ -141,22 +248,30 @@ pub fn save_hand_eye(hand_eye: &HandEye, path: &Path) -> Result<(), CalibrationF
     write_file(path, &hand_eye::write(hand_eye)?)
 }
 
-/// As [`load_stereo`], for images of a known size, which is used for files that may omit the size (OpenCV). A size stated in the
-/// file is not compared with it.
+/// As [`load_stereo`], for images of a known size, which is used for files that may omit the size (OpenCV), or that state a part of the
+/// sensor (ROS). The size of any other file is not compared with it.
 ///
 /// # Errors
 /// As [`load_stereo`].
 pub fn load_stereo_for(paths: &[PathBuf], images: ImageSize) -> Result<StereoCalibration, CalibrationFileError> {
-    load(paths, Some(images))
+    load_stated(paths, Some(images), &StatedCalibration::default())?.decided()
 }
 
-fn load(paths: &[PathBuf], images: Option<ImageSize>) -> Result<StereoCalibration, CalibrationFileError> {
+/// As [`load_stereo_for`], with what the user states. [`StereoCalibration::other_lens`] is left to be decided.
+///
+/// # Errors
+/// As [`load_stereo`]; the user and the file state different things.
+pub fn load_stated(
+    paths: &[PathBuf],
+    images: Option<ImageSize>,
+    stated: &StatedCalibration,
+) -> Result<StereoCalibration, CalibrationFileError> {
     let paths = match paths {
         [directory] if directory.is_dir() => in_directory(directory)?,
         paths => paths.to_vec(),
     };
     let documents = paths.iter().map(|path| Document::read(path)).collect::<Result<Vec<_>, _>>()?;
-    assemble(&paths, &documents, images)
+    assemble(&paths, &documents, images, stated)
 }
 
 /// As [`load_stereo_for`], for one file whose text is already loaded; the format is detected from the contents.
@@ -168,16 +283,20 @@ pub fn parse_stereo(
     text: &str,
     images: Option<ImageSize>,
 ) -> Result<StereoCalibration, CalibrationFileError> {
-    assemble(&[name.to_path_buf()], &[Document::parse(name, text)?], images)
+    assemble(&[name.to_path_buf()], &[Document::parse(name, text)?], images, &StatedCalibration::default())?.decided()
 }
 
-/// As [`load_stereo`], for the texts of the left and the right ROS `camera_info` file; `names` stand for the files in messages.
+/// As [`load_stereo_for`], for the texts of the left and the right ROS `camera_info` file; `names` stand for the files in messages.
 ///
 /// # Errors
 /// As [`load_stereo`].
-pub fn parse_ros_pair(names: [&Path; 2], texts: [&str; 2]) -> Result<StereoCalibration, CalibrationFileError> {
+pub fn parse_ros_pair(
+    names: [&Path; 2],
+    texts: [&str; 2],
+    images: Option<ImageSize>,
+) -> Result<StereoCalibration, CalibrationFileError> {
     let documents = [Document::parse(names[0], texts[0])?, Document::parse(names[1], texts[1])?];
-    assemble(&names.map(Path::to_path_buf), &documents, None)
+    assemble(&names.map(Path::to_path_buf), &documents, images, &StatedCalibration::default())
 }
 
 /// As [`load_stereo`], for the texts of `sensor.yaml` of `cam0` and `cam1` in the layout of the EuRoC dataset.
@@ -188,9 +307,11 @@ pub fn parse_euroc(names: [&Path; 2], texts: [&str; 2]) -> Result<StereoCalibrat
     let [left, right] = [Document::parse(names[0], texts[0])?, Document::parse(names[1], texts[1])?];
     Ok(StereoCalibration {
         rig: euroc::read(&left.root(), &right.root())?,
+        other_lens: None,
         format: CalibrationFormat::EurocPair,
         source: names.map(|name| name.display().to_string()).join(", "),
         notes: Vec::new(),
+        warnings: Vec::new(),
         not_measured: None,
         judgement: None,
     })
@@ -200,10 +321,12 @@ fn assemble(
     paths: &[PathBuf],
     documents: &[Document],
     images: Option<ImageSize>,
+    stated: &StatedCalibration,
 ) -> Result<StereoCalibration, CalibrationFileError> {
-    let Parsed { rig, format, notes, judgement } = match documents {
-        [one] => read_one(one, images)?,
-        [first, second] => read_two(first, second, images)?,
+    let made_for = stated.size.or(images);
+    let Parsed { rig, other_lens, format, remarks: Remarks { notes, warnings }, judgement } = match documents {
+        [one] => read_one(one, made_for, stated)?,
+        [first, second] => read_two(first, second, made_for, stated)?,
         _ => return Err(CalibrationFileError::Paths { count: paths.len() }),
     };
     let source = paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ");
@@ -211,7 +334,8 @@ fn assemble(
         ([one], CalibrationFormat::CaseJson) => case_json::not_measured(&one.root()),
         _ => None,
     };
-    Ok(StereoCalibration { rig, format, source, notes, not_measured, judgement })
+    StereoCalibration { rig, other_lens, format, source, notes, warnings, not_measured, judgement }
+        .as_stated(stated, images)
 }
 
 /// Writes a ROS `camera_info` YAML file for each camera; the pose is stored in the rectification and projection matrices.
@@ -291,33 +415,60 @@ pub fn ros_camera_infos(rig: &StereoRig) -> Result<[RosCameraInfo; 2], Calibrati
 /// The content of one or two files.
 struct Parsed {
     rig: StereoRig,
+    other_lens: Option<StereoRig>,
     format: CalibrationFormat,
-    notes: Vec<String>,
+    remarks: Remarks,
     judgement: Option<Judgement>,
+}
+
+/// What the user should know of a calibration.
+#[derive(Default)]
+struct Remarks {
+    notes: Vec<String>,
+    /// Assumptions that can be wrong.
+    warnings: Vec<String>,
+}
+
+impl Remarks {
+    fn notes(notes: Vec<String>) -> Self {
+        Self { notes, ..Self::default() }
+    }
 }
 
 impl Parsed {
     fn of(format: CalibrationFormat, rig: StereoRig) -> Self {
-        Self { rig, format, notes: Vec::new(), judgement: None }
+        Self { rig, other_lens: None, format, remarks: Remarks::default(), judgement: None }
     }
 }
 
-fn read_one(document: &Document, images: Option<ImageSize>) -> Result<Parsed, CalibrationFileError> {
+fn of_opencv(
+    roots: &[Node<'_>],
+    images: Option<ImageSize>,
+    stated: &StatedCalibration,
+) -> Result<Parsed, CalibrationFileError> {
+    let opencv::OpenCvRig { rig, other_lens, remarks } = opencv::read(roots, images, stated)?;
+    Ok(Parsed { remarks, other_lens, ..Parsed::of(CalibrationFormat::OpenCv, rig) })
+}
+
+fn read_one(
+    document: &Document,
+    images: Option<ImageSize>,
+    stated: &StatedCalibration,
+) -> Result<Parsed, CalibrationFileError> {
     let root = document.root();
     if judged::recognises(&root) {
         let (rig, judgement) = judged::read(&root)?;
         let note = |gate: &JudgedGate| {
             format!("gate {} refused this calibration when it was made: measured {}", gate.name, gate.measured)
         };
-        let notes = judgement.refusals().map(note).collect();
-        Ok(Parsed { notes, judgement: Some(judgement), ..Parsed::of(CalibrationFormat::Judged, rig) })
+        let remarks = Remarks::notes(judgement.refusals().map(note).collect());
+        Ok(Parsed { remarks, judgement: Some(judgement), ..Parsed::of(CalibrationFormat::Judged, rig) })
     } else if case_json::recognises(&root) {
         Ok(Parsed::of(CalibrationFormat::CaseJson, case_json::read(&root)?))
     } else if kalibr::recognises(&root) {
         Ok(Parsed::of(CalibrationFormat::Kalibr, kalibr::read(&root)?))
     } else if opencv::recognises(&root) {
-        let (rig, notes) = opencv::read(&[root], images)?;
-        Ok(Parsed { notes, ..Parsed::of(CalibrationFormat::OpenCv, rig) })
+        of_opencv(&[root], images, stated)
     } else if ros::recognises(&root) {
         Err(root
             .error("camera_matrix", "this is one camera of a ROS camera_info pair; give the left and the right file"))
@@ -326,13 +477,18 @@ fn read_one(document: &Document, images: Option<ImageSize>) -> Result<Parsed, Ca
     }
 }
 
-fn read_two(first: &Document, second: &Document, images: Option<ImageSize>) -> Result<Parsed, CalibrationFileError> {
+fn read_two(
+    first: &Document,
+    second: &Document,
+    images: Option<ImageSize>,
+    stated: &StatedCalibration,
+) -> Result<Parsed, CalibrationFileError> {
     let (one, two) = (first.root(), second.root());
     if ros::recognises(&one) && ros::recognises(&two) {
-        Ok(Parsed::of(CalibrationFormat::RosPair, ros::read(&one, &two)?))
+        let (rig, remarks) = ros::read(&one, &two, (images, stated.rectified))?;
+        Ok(Parsed { remarks, ..Parsed::of(CalibrationFormat::RosPair, rig) })
     } else if opencv::recognises(&one) || opencv::recognises(&two) {
-        let (rig, notes) = opencv::read(&[one, two], images)?;
-        Ok(Parsed { notes, ..Parsed::of(CalibrationFormat::OpenCv, rig) })
+        of_opencv(&[one, two], images, stated)
     } else {
         let stranger = if ros::recognises(&one) { second } else { first };
         Err(CalibrationFileError::Format { file: stranger.file().to_path_buf(), found: stranger.keys() })
@@ -341,7 +497,7 @@ fn read_two(first: &Document, second: &Document, images: Option<ImageSize>) -> R
 
 fn in_directory(directory: &Path) -> Result<Vec<PathBuf>, CalibrationFileError> {
     let candidates = IN_DIRECTORY.iter().map(|names| names.iter().map(|name| directory.join(name)).collect::<Vec<_>>());
-    let found = candidates.into_iter().find(|files| files.iter().any(|file| file.is_file()));
+    let found = candidates.into_iter().find(|files| files.iter().any(|file| file.exists()));
     found.ok_or_else(|| CalibrationFileError::Directory { directory: directory.to_path_buf() })
 }
 

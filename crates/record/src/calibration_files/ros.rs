@@ -4,11 +4,12 @@
 //! whose element `[0][3]` is `-fx * B`, a point maps from left to right as `R2^T (R1 x + t)`, `t = (P2[0][3] / fx, 0, 0)`.
 
 use nalgebra::{Matrix3, Matrix3x4, Vector3};
-use pb3dp_geometry::{Camera, ImageSize, StereoRig};
+use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, StereoRig};
 
 use super::document::Node;
 use super::error::{CalibrationFileError, one_line};
-use super::{CalibrationFormat, checks, write};
+use super::sensor_window::{ImageCameras, SensorWindow, StatedCamera, camera_matrices};
+use super::{CalibrationFormat, Remarks, checks, write};
 
 /// Maximum ratio of the focal lengths of the raw and the rectified image.
 const ZOOM_MAX: f64 = 5.0;
@@ -17,11 +18,25 @@ pub(super) fn recognises(root: &Node<'_>) -> bool {
     root.find("camera_matrix").is_some()
 }
 
-pub(super) fn read(left: &Node<'_>, right: &Node<'_>) -> Result<StereoRig, CalibrationFileError> {
-    let cameras = [camera(left)?, camera(right)?];
-    let (left_rotation, right_rotation) = (rectification(left)?, rectification(right)?);
-    let (left_projection, _) = projection(left, &cameras[0])?;
-    let (right_projection, node) = projection(right, &cameras[1])?;
+/// The rig for images of a known size, if it is known, with what the user should know. For rectified images it has the projection matrices.
+pub(super) fn read(
+    left: &Node<'_>,
+    right: &Node<'_>,
+    (images, rectified): (Option<ImageSize>, bool),
+) -> Result<(StereoRig, Remarks), CalibrationFileError> {
+    let stated = [stated_camera(left, rectified)?, stated_camera(right, rectified)?];
+    let ImageCameras { sizes, pinholes, note, warning } = camera_matrices([&stated[0], &stated[1]], images)?;
+    let of_images = |root, side: usize| match rectified {
+        true => checks::camera(&stated[side].root, sizes[side], pinholes[side], Distortion::None),
+        false => camera(root, sizes[side], pinholes[side]),
+    };
+    let cameras = [of_images(left, 0)?, of_images(right, 1)?];
+    let (left_rotation, right_rotation) = match rectified {
+        true => (Matrix3::identity(), Matrix3::identity()),
+        false => (rectification(left)?, rectification(right)?),
+    };
+    let (left_projection, _) = projection(left, &stated[0].pinhole)?;
+    let (right_projection, node) = projection(right, &stated[1].pinhole)?;
     if left_projection[(0, 3)] != 0.0 {
         let reason = format!(
             "element [0][3] of the left camera is {}, it must be 0; the files are exchanged, or the left camera is not the first of its pair",
@@ -45,17 +60,28 @@ pub(super) fn read(left: &Node<'_>, right: &Node<'_>) -> Result<StereoRig, Calib
     let fx = right_projection[(0, 0)];
     let translation_rect_m = Vector3::new(right_projection[(0, 3)] / fx, 0.0, 0.0);
     let right_back = right_rotation.transpose();
-    checks::rig(&node, cameras, &(right_back * left_rotation), right_back * translation_rect_m)
+    let rig = checks::rig(&node, cameras, &(right_back * left_rotation), right_back * translation_rect_m)?;
+    Ok((rig, Remarks { notes: Vec::from_iter(note), warnings: Vec::from_iter(warning) }))
 }
 
-fn camera(root: &Node<'_>) -> Result<Camera, CalibrationFileError> {
+fn stated_camera<'a>(root: &Node<'a>, rectified: bool) -> Result<StatedCamera<'a>, CalibrationFileError> {
     let size = Node::size(&root.get("image_width")?, &root.get("image_height")?)?;
+    let pinhole = if rectified {
+        let p: Matrix3x4<f64> = root.get("projection_matrix")?.matrix()?;
+        Pinhole { fx: p[(0, 0)], fy: p[(1, 1)], cx: p[(0, 2)], cy: p[(1, 2)] }
+    } else {
+        checks::pinhole(&root.get("camera_matrix")?)?
+    };
+    Ok(StatedCamera { root: root.clone(), size, pinhole, window: SensorWindow::read(root)? })
+}
+
+fn camera(root: &Node<'_>, size: ImageSize, pinhole: Pinhole) -> Result<Camera, CalibrationFileError> {
     let intrinsics = root.get("camera_matrix")?;
     let model = root.get("distortion_model")?;
     let name = model.text()?;
     let coefficients = root.get("distortion_coefficients")?;
     let distortion = checks::distortion(&model, name, &coefficients)?;
-    checks::camera(&intrinsics, size, checks::pinhole(&intrinsics)?, distortion)
+    checks::camera(&intrinsics, size, pinhole, distortion)
 }
 
 fn rectification(root: &Node<'_>) -> Result<Matrix3<f64>, CalibrationFileError> {
@@ -63,8 +89,9 @@ fn rectification(root: &Node<'_>) -> Result<Matrix3<f64>, CalibrationFileError> 
     checks::rotation(&node, &node.matrix()?)
 }
 
-/// The projection matrix, checked for its shape and against the camera matrix.
-fn projection<'a>(root: &Node<'a>, camera: &Camera) -> Result<(Matrix3x4<f64>, Node<'a>), CalibrationFileError> {
+/// The projection matrix as stated, checked for its shape and against the stated camera matrix. Only ratios of it are used, so that it
+/// needs no binning.
+fn projection<'a>(root: &Node<'a>, stated: &Pinhole) -> Result<(Matrix3x4<f64>, Node<'a>), CalibrationFileError> {
     let node = root.get("projection_matrix")?;
     let p: Matrix3x4<f64> = node.matrix()?;
     let zeros = [(0, 1), (1, 0), (1, 3), (2, 0), (2, 1), (2, 3)];
@@ -78,7 +105,7 @@ fn projection<'a>(root: &Node<'a>, camera: &Camera) -> Result<(Matrix3x4<f64>, N
     if (p[(2, 2)] - 1.0).abs() > 1e-9 {
         return Err(node.refuse(format!("element [2][2] is {}, it must be 1", p[(2, 2)])));
     }
-    for (row, raw, name) in [(0, camera.pinhole().fx, "fx"), (1, camera.pinhole().fy, "fy")] {
+    for (row, raw, name) in [(0, stated.fx, "fx"), (1, stated.fy, "fy")] {
         let rectified = p[(row, row)];
         if !(rectified > raw / ZOOM_MAX && rectified < raw * ZOOM_MAX) {
             let reason = format!(

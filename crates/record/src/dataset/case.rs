@@ -4,10 +4,11 @@ use std::path::{Path, PathBuf};
 
 use image::RgbImage;
 use nalgebra::Vector3;
+use pb3dp_geometry::ImageSize;
 
 use super::json::{JsonFile, Node};
 use super::{CASE_FILE, DatasetError, SearchRange, polygon, search_range};
-use crate::calibration_files::{StereoCalibration, load_stereo};
+use crate::calibration_files::{StatedCalibration, StereoCalibration, load_stated, load_stereo};
 use crate::images::{DisparityMap, load_rgb, load_rgb_of_size, size_of};
 
 /// What makes a planar case difficult, the value of the key `hard`.
@@ -206,6 +207,14 @@ impl Case {
     /// The file is missing or refused.
     pub fn load_calibration(&self) -> Result<StereoCalibration, DatasetError> {
         Ok(load_stereo(std::slice::from_ref(&self.calibration))?)
+    }
+
+    /// As [`Self::load_calibration`], for images of this size; [`StereoCalibration::other_lens`] is left to be decided.
+    ///
+    /// # Errors
+    /// As [`Self::load_calibration`].
+    pub fn load_calibration_for(&self, images: ImageSize) -> Result<StereoCalibration, DatasetError> {
+        Ok(load_stated(std::slice::from_ref(&self.calibration), Some(images), &StatedCalibration::default())?)
     }
 
     /// Loads the disparity ground truth, if the case has one.

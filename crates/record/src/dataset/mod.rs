@@ -152,7 +152,7 @@ pub fn find_cases(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
         if !seen.insert(folder.canonicalize().map_err(unreadable)?) {
             continue;
         }
-        if folder.join(CASE_FILE).is_file() {
+        if folder.join(CASE_FILE).exists() {
             cases.push(folder);
         } else if depth < FOLDERS_DEEP {
             for subfolder in subfolders(&folder).map_err(unreadable)? {

@@ -88,7 +88,7 @@ const SEQUENCE_KEYS: [&str; 9] =
 
 /// Whether a folder holds a sequence, finished or not.
 pub fn is_sequence(folder: &Path) -> bool {
-    [SEQUENCE_FILE, UNFINISHED_FILE].iter().any(|name| folder.join(name).is_file())
+    [SEQUENCE_FILE, UNFINISHED_FILE].iter().any(|name| folder.join(name).exists())
 }
 
 /// Loads and checks `sequence.json` of a sequence folder; for an interrupted recording, loads the complete frames.
@@ -97,9 +97,9 @@ pub fn is_sequence(folder: &Path) -> bool {
 /// A missing or unreadable file, a missing key, or a value that is not allowed; the message names file, key and value.
 pub fn load_sequence(folder: &Path) -> Result<Sequence, DatasetError> {
     // A path to the file itself is accepted as well.
-    let is_the_file = [SEQUENCE_FILE, UNFINISHED_FILE].iter().any(|name| folder.ends_with(name)) && folder.is_file();
+    let is_the_file = [SEQUENCE_FILE, UNFINISHED_FILE].iter().any(|name| folder.ends_with(name)) && !folder.is_dir();
     let folder = folder.parent().filter(|_| is_the_file).unwrap_or(folder);
-    let is_unfinished = is_sequence(folder) && !folder.join(SEQUENCE_FILE).is_file();
+    let is_unfinished = is_sequence(folder) && !folder.join(SEQUENCE_FILE).exists();
     let file = if is_unfinished { unfinished::read(folder) } else { JsonFile::read(&folder.join(SEQUENCE_FILE)) }?;
     let root = file.root();
     let frames = root.get("frames")?.count()?;

@@ -11,6 +11,8 @@ use serde_json::{Map, Value, json};
 
 use super::json::JsonFile;
 use super::{DatasetError, FramePattern, UNFINISHED_FILE};
+use crate::regular_file::{open_regular, read_regular};
+use crate::text_file::TEXT_MAX_BYTES;
 
 /// End of a PNG file: its last chunk (PNG specification, section 11.2.5).
 const PNG_END: [u8; 12] = [0, 0, 0, 0, b'I', b'E', b'N', b'D', 0xAE, 0x42, 0x60, 0x82];
@@ -81,7 +83,7 @@ fn not_written(path: &Path, source: std::io::Error) -> DatasetError {
 /// A log that cannot be read, or whose first line is damaged.
 pub(super) fn read(folder: &Path) -> Result<JsonFile, DatasetError> {
     let path = folder.join(UNFINISHED_FILE);
-    let read = std::fs::read(&path);
+    let read = read_regular(&path, TEXT_MAX_BYTES);
     let bytes = read.map_err(|source| DatasetError::Io { file: path.clone(), action: "read", source })?;
     let mut lines = bytes.split(|byte| *byte == b'\n');
     let head = serde_json::from_slice(lines.next().unwrap_or_default());
@@ -114,7 +116,7 @@ pub(super) fn read(folder: &Path) -> Result<JsonFile, DatasetError> {
 /// Whether an image file is complete.
 fn is_whole(file: &Path) -> bool {
     let mut end = [0; PNG_END.len()];
-    let read = File::open(file).and_then(|mut file| {
+    let read = open_regular(file).and_then(|mut file| {
         file.seek(SeekFrom::End(-(end.len() as i64)))?;
         file.read_exact(&mut end)
     });

@@ -1,7 +1,6 @@
 //! What a recording of a run has: its settings with their files, its begin, and its steps and pairs in the order in which they were
 //! written.
 
-use std::collections::VecDeque;
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
@@ -9,6 +8,7 @@ use std::sync::Arc;
 use anyhow::{Context, Result, bail};
 use image::RgbImage;
 use pb3dp_bag::BagError;
+use pb3dp_bag::matching::Waiting;
 use pb3dp_bag::messages::LogLine;
 use pb3dp_bag::pairs::{decoded, recorded_image};
 use pb3dp_bag::reader::{Bag, Messages, RawMessage};
@@ -23,9 +23,6 @@ use tempfile::TempDir;
 
 use crate::exact::end;
 use crate::head::{self, Head};
-
-/// Images of one side that wait for their pair.
-const WAITING_MAX: usize = 64;
 
 /// Topics of a replay besides the head and the images.
 const TOPICS: [&str; 4] = [ours::STEPS, ours::PAIRS, ours::EVENTS, ours::END];
@@ -49,7 +46,7 @@ pub struct Items {
     messages: Messages,
     /// A step or pair that was read with the head.
     ahead: Option<RawMessage>,
-    images: [VecDeque<(MonotonicTime, RawMessage)>; 2],
+    images: Waiting<RawMessage>,
     drawn_on: [Option<(MonotonicTime, RawMessage)>; 2],
 }
 
@@ -151,11 +148,8 @@ impl Items {
     }
 
     fn keep(&mut self, side: usize, message: RawMessage) -> Result<()> {
-        let waiting = &mut self.images[side];
-        waiting.push_back((stamp(&message)?, message));
-        if waiting.len() > WAITING_MAX {
-            waiting.pop_front();
-        }
+        let (at, bytes) = (stamp(&message)?, message.data.len());
+        self.images.push(side, at, (message, bytes));
         Ok(())
     }
 
@@ -163,10 +157,9 @@ impl Items {
         let skew_nanos = (result.skew_s * 1e9).round() as i64;
         let left_at = result.exposed_at_nanos.saturating_add(self.begin.since_1970_nanos);
         let right_at = left_at.saturating_add_signed(skew_nanos);
-        let [left, right] = &mut self.images;
         let exposed_at = MonotonicTime::from_nanos(result.exposed_at_nanos);
-        let images = take_at(left, left_at)
-            .zip(take_at(right, right_at))
+        let images = take_at(&mut self.images, 0, left_at)
+            .zip(take_at(&mut self.images, 1, right_at))
             .map(|(left, right)| pair([&left, &right], how, (result.sequence, exposed_at, skew_nanos)))
             .transpose()?;
         let drawn_sequence = result.chosen.first().and_then(|chosen| chosen.drawn_on.first());
@@ -205,11 +198,11 @@ fn stamp(message: &RawMessage) -> Result<MonotonicTime> {
 }
 
 /// The image of this time; images before it belong to no pair.
-fn take_at(waiting: &mut VecDeque<(MonotonicTime, RawMessage)>, at_nanos: u64) -> Option<RawMessage> {
+fn take_at(waiting: &mut Waiting<RawMessage>, side: usize, at_nanos: u64) -> Option<RawMessage> {
     // A stamp in seconds and nanoseconds is exact; a skew is rounded.
-    let index = waiting.iter().position(|(at, _)| at.as_nanos().abs_diff(at_nanos) <= 1)?;
-    waiting.drain(..index);
-    waiting.pop_front().map(|(_, message)| message)
+    let index = waiting.times(side).position(|at| at.as_nanos().abs_diff(at_nanos) <= 1)?;
+    (0..index).for_each(|_| drop(waiting.pop(side)));
+    waiting.pop(side).map(|(_, message)| message)
 }
 
 fn pair(

@@ -16,6 +16,7 @@ codes! {
         TargetChanged = "PB3DP-SUP-007": "The estimator follows another target than the one that was started."; "Use `select`, check the region, then use `start`.";
         FrameStale = "PB3DP-SUP-008": "The newest frame pair is too old."; "Check the cameras and their cables. After the start, wait for the first pair.";
         FrameOrder = "PB3DP-SUP-009": "Frame pairs arrive out of order: a camera was restarted or sends an old image."; "Check the cameras. Then use `resume`.";
+        Miscalibrated = "PB3DP-SUP-023": "The images contradict the calibration of the cameras: they have moved against each other, or the file is of other cameras."; "Fasten the cameras, calibrate again, and restart the program. The status of the estimates names the rows and angles.";
         TargetLost = "PB3DP-SUP-010": "There was no confident pose of the target for so long that the target counts as lost."; "Bring the target back into view of both cameras, or use `select` again.";
         EstimateStale = "PB3DP-SUP-011": "The newest confident pose is too old."; "Clear the view of the target. If the target is in view, look at the status of the estimates.";
         LowConfidence = "PB3DP-SUP-012": "The estimator reports no pose, or a pose with low confidence."; "Clear the view of the target, give it more light, or use `select` again.";

@@ -208,7 +208,7 @@ impl Findings {
             return;
         }
         self.estimate = Some(estimate);
-        if estimate.confidence != Confidence::NoPose {
+        if matches!(estimate.confidence, Confidence::Sure | Confidence::Doubtful) {
             self.posed = Some(estimate);
             if self.followed_target.replace(estimate.target) != Some(estimate.target) {
                 self.followed_since = Some(now);
@@ -230,10 +230,13 @@ impl Findings {
             }
             Condition::FrameStale => above(age_s(self.frame.map(|frame| frame.at)), threshold),
             Condition::FrameOrder => self.disorder.map(|frames| (0.0, frames)),
+            Condition::Miscalibrated => {
+                (self.estimate?.confidence == Confidence::Miscalibrated).then_some((0.0, Detail::None))
+            }
             Condition::TargetLost | Condition::EstimateStale => above(age_s(self.confident_at), threshold),
             Condition::LowConfidence => match self.estimate?.confidence {
                 Confidence::Sure => None,
-                Confidence::Doubtful => Some((0.0, Detail::None)),
+                Confidence::Doubtful | Confidence::Miscalibrated => Some((0.0, Detail::None)),
                 Confidence::NoPose => Some((0.0, Detail::NoPose)),
             },
             Condition::PositionJump | Condition::OrientationJump | Condition::Outlier => {
@@ -316,6 +319,7 @@ const fn safeguard(condition: Condition) -> Option<Safeguard> {
         Condition::TargetChanged => Safeguard::TargetChanged,
         Condition::FrameStale => Safeguard::FrameStale,
         Condition::FrameOrder => Safeguard::FrameOrder,
+        Condition::Miscalibrated => Safeguard::Miscalibrated,
         Condition::TargetLost => Safeguard::TargetLost,
         Condition::EstimateStale => Safeguard::EstimateStale,
         Condition::PositionJump => Safeguard::PositionJump,

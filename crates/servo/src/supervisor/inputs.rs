@@ -122,6 +122,8 @@ pub enum Confidence {
     Doubtful,
     /// No pose.
     NoPose,
+    /// The images contradict the calibration, with or without a pose.
+    Miscalibrated,
 }
 
 /// What the controller did with an observation.

@@ -27,6 +27,8 @@ pub enum Condition {
     FrameStale,
     /// Numbers or times of the images do not increase.
     FrameOrder,
+    /// The images contradict the calibration of the cameras.
+    Miscalibrated,
     /// The newest confident pose is so old that the target is lost.
     TargetLost,
     /// The newest confident pose is too old.
@@ -161,7 +163,7 @@ pub struct SupervisorError {
 
 impl Condition {
     /// Number of conditions.
-    pub const COUNT: usize = 22;
+    pub const COUNT: usize = 23;
 
     /// All conditions.
     pub const ALL: [Self; Self::COUNT] = [
@@ -174,6 +176,7 @@ impl Condition {
         Self::TargetChanged,
         Self::FrameStale,
         Self::FrameOrder,
+        Self::Miscalibrated,
         Self::TargetLost,
         Self::EstimateStale,
         Self::LowConfidence,
@@ -217,6 +220,7 @@ impl Condition {
             Self::TargetChanged => rule("target_changed", None, 0.0, Hold, false),
             Self::FrameStale => rule("frame_stale", Some(("age_s", 0.02, 1.0)), 0.0, Hold, true),
             Self::FrameOrder => rule("frame_order", None, 0.0, Hold, true),
+            Self::Miscalibrated => rule("miscalibrated", None, 0.0, Hold, false),
             Self::TargetLost => rule("target_lost", Some(("age_s", 0.05, 10.0)), 0.0, Hold, true),
             Self::EstimateStale => rule("estimate_stale", Some(("age_s", 0.02, 1.0)), 0.0, Hold, true),
             Self::LowConfidence => rule("low_confidence", None, 1.0, Note, true),

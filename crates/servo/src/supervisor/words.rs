@@ -355,6 +355,7 @@ impl fmt::Display for Cause {
             },
             Condition::TargetLost if value.is_finite() => write!(f, "target lost: {}", age("confident pose")),
             Condition::TargetLost | Condition::EstimateStale => write!(f, "{}", age("confident pose")),
+            Condition::Miscalibrated => write!(f, "the images contradict the calibration of the cameras"),
             Condition::LowConfidence if detail == Detail::NoPose => write!(f, "the estimator has no pose"),
             Condition::LowConfidence => write!(f, "the estimator has a pose with low confidence"),
             Condition::PositionJump => write!(f, "the target position jumped by {}", Millimetres(value, threshold)),
@@ -455,6 +456,9 @@ fn remedy(cause: &Cause) -> &'static str {
         Condition::TargetLost if cause.value.is_infinite() => "clear the view of the target, or mark another region",
         Condition::TargetLost => "bring the target back into view",
         Condition::EstimateStale => "wait for the estimator, or clear the view of the target",
+        Condition::Miscalibrated => {
+            "look at the status of the estimates; fasten the cameras, or calibrate again and restart the program"
+        }
         Condition::LowConfidence => "clear the view of the target, or select it again",
         Condition::PositionJump | Condition::OrientationJump | Condition::Outlier => {
             "check that it is still the same target"

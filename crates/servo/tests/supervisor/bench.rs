@@ -34,7 +34,7 @@ fn policy(condition: Condition) -> Policy {
         Condition::ClockStepped => (0.2, 0.0, Hold, ByOperator),
         Condition::OperatorSilent => (1.0, 0.0, Stop, ByOperator),
         Condition::JointsStale => (0.05, 0.0, Hold, ByItself),
-        Condition::TargetChanged => (0.0, 0.0, Hold, ByOperator),
+        Condition::TargetChanged | Condition::Miscalibrated => (0.0, 0.0, Hold, ByOperator),
         Condition::FrameStale => (0.25, 0.0, Hold, ByItself),
         Condition::FrameOrder => (0.0, 0.0, Hold, ByItself),
         Condition::TargetLost => (1.0, 0.0, Hold, ByItself),

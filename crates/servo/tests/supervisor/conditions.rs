@@ -34,6 +34,11 @@ fn troubles() -> Vec<(Condition, Trouble, Option<f64>)> {
             None,
         ),
         (Condition::FrameOrder, |_| Box::new(|i| i.frame.as_mut().unwrap().sequence = 5), Some(0.0)),
+        (
+            Condition::Miscalibrated,
+            |_| Box::new(|i| i.estimate.as_mut().unwrap().confidence = Confidence::Miscalibrated),
+            Some(0.0),
+        ),
         (Condition::EstimateStale, |t| Box::new(move |i| i.estimate.as_mut().unwrap().at = at(t)), None),
         (
             Condition::LowConfidence,

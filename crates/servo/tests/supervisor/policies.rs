@@ -42,6 +42,7 @@ fn faults_of_arms_and_emergency_stops_are_always_faults_and_stale_data_is_at_lea
         Condition::OperatorSilent,
         Condition::JointsStale,
         Condition::TargetChanged,
+        Condition::Miscalibrated,
         Condition::FrameStale,
         Condition::FrameOrder,
         Condition::TargetLost,
@@ -63,6 +64,7 @@ fn nothing_resumes_by_itself_after_what_only_a_person_can_judge() {
         Condition::ClockStepped,
         Condition::OperatorSilent,
         Condition::TargetChanged,
+        Condition::Miscalibrated,
     ];
     for condition in Condition::ALL {
         let result = refusal(with(condition, |policy| policy.resume = Resume::ByItself));

@@ -26,6 +26,7 @@ fn causes() -> Vec<(Cause, Vec<String>)> {
                 (0.0, 0.0, vec![Detail::Targets { started: 3, followed: 4 }], ["target 4", "target 3"])
             }
             Condition::FrameOrder => (0.0, 0.0, vec![Detail::Frames { before: 60, after: 57 }], ["pair 57", "pair 60"]),
+            Condition::Miscalibrated => (0.0, 0.0, none, ["images", "calibration"]),
             Condition::LowConfidence => (0.0, 0.0, vec![Detail::None, Detail::NoPose], ["pose", "estimator"]),
             Condition::PositionJump | Condition::PositionUncertain => (0.0234, 0.01, none, ["23.40 mm", "10.00 mm"]),
             Condition::Outlier => (12.34, 6.0, none, ["12.3", "6.0"]),

@@ -32,6 +32,7 @@ struct PoliciesSection {
     operator_silent: PolicySection,
     joints_stale: PolicySection,
     target_changed: PolicySection,
+    miscalibrated: PolicySection,
     frame_stale: PolicySection,
     frame_order: PolicySection,
     target_lost: PolicySection,
@@ -121,6 +122,7 @@ impl Threshold {
             | Condition::ArmFault
             | Condition::ArmDisabled
             | Condition::TargetChanged
+            | Condition::Miscalibrated
             | Condition::FrameOrder
             | Condition::LowConfidence
             | Condition::ControllerRests => return None,
@@ -227,6 +229,7 @@ impl PoliciesSection {
             Condition::OperatorSilent => &self.operator_silent,
             Condition::JointsStale => &self.joints_stale,
             Condition::TargetChanged => &self.target_changed,
+            Condition::Miscalibrated => &self.miscalibrated,
             Condition::FrameStale => &self.frame_stale,
             Condition::FrameOrder => &self.frame_order,
             Condition::TargetLost => &self.target_lost,

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use pb3dp_hal_platform::certificate::{CertificateError, SelfSigned, self_signed};
-use pb3dp_hal_platform::key_file::{KeyFileError, read_secret, write_new_secret};
+use pb3dp_hal_platform::key_file::{KeyFileError, open_regular, read_secret, write_new_secret};
 use pb3dp_hal_platform::tcp::TcpConfig;
 use pb3dp_hal_platform::transport::ByteLink;
 use rustls::client::Resumption;
@@ -169,7 +169,7 @@ fn provider() -> Arc<CryptoProvider> {
 fn read_certificates(file: &Path) -> Result<Vec<CertificateDer<'static>>, CertificateFileError> {
     let read = |source| CertificateFileError::Read { file: file.to_owned(), source };
     let mut text = Vec::new();
-    File::open(file).and_then(|opened| opened.take(FILE_BYTES_MAX).read_to_end(&mut text)).map_err(read)?;
+    open_regular(file).and_then(|opened| opened.take(FILE_BYTES_MAX).read_to_end(&mut text)).map_err(read)?;
     let found: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&text).collect();
     found
         .ok()

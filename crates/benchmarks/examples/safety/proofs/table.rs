@@ -127,12 +127,13 @@ pub const PROOFS: &[Proof] = &[
 ];
 
 /// Safeguards that these runs cannot show, and the tests that show them.
-pub const ELSEWHERE: [(Safeguard, &str); 6] = [
+pub const ELSEWHERE: [(Safeguard, &str); 7] = [
     (ArmDisabled, "nothing moves while the drives are disabled; `crates/servo/tests/supervisor`, start_and_resume.rs"),
     (
         TargetLost,
         "takes effect 0.7 s after the hold without a fresh pose; it adds the conditions for resuming, `crates/servo/tests/supervisor`",
     ),
+    (Miscalibrated, "these runs have no images; `tests/tests/camera_faults.rs`"),
     (PositionJump, "only the law `published` reports jumps; `crates/servo/tests/supervisor/conditions.rs`"),
     (OrientationJump, "the same"),
     (

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::thread;
 
 use anyhow::Context;
+use pb3dp_estimation::rig_watch::RigWatch;
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod};
 use pb3dp_estimation_core::status::Status;
 use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
@@ -153,14 +154,14 @@ impl Measurements {
 /// The outcomes of one case for all configurations.
 fn of_case(folder: &Path, configs: &[DirectConfig]) -> anyhow::Result<Vec<Outcome>> {
     let case = cases::load(folder)?.context("the truth is missing")?;
-    let rows = DirectEstimator::new(&case.rig, DirectConfig::default())?
-        .prepare((&case.images.left).into(), (&case.images.right).into())?;
+    let mut watch = RigWatch::new(&case.rig)?;
+    watch.look(&case.images.left, &case.images.right)?;
     configs
         .iter()
         .map(|config| {
             let mut estimator = DirectEstimator::new(&case.rig, config.clone())?;
-            if let Some(rows) = &rows {
-                estimator.use_rows(rows);
+            if let Some(errors) = watch.errors() {
+                estimator.correct_rig(watch.rig(), errors)?;
             }
             answer(&case, &mut estimator).with_context(|| case.facts.name.clone())
         })

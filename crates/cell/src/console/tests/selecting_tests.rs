@@ -229,7 +229,7 @@ fn a_mask_that_is_never_read_keeps_no_hold_from_being_heard() {
 fn a_device_is_no_mask_and_blocks_nothing() {
     let mut run = Selecting::new();
     run.types("select mask:/dev/zero");
-    run.answers("it is no regular file, but a pipe, a socket or a device");
+    run.answers("it is a device, not a regular file");
     run.types("select mask:/dev/zero\nstop");
     assert_eq!(run.hears(), OperatorCommand::Stop);
 }

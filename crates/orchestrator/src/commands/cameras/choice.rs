@@ -13,7 +13,7 @@ use pb3dp_camera_settings::{
 use pb3dp_cell::calibration_facts::CalibrationFacts;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_geometry::{ImageSize, StereoRig};
-use pb3dp_record::calibration_files::{StereoCalibration, load_stereo};
+use pb3dp_record::calibration_files::{StatedCalibration, StereoCalibration, load_stated};
 use pb3dp_setup::layers::SetupArgs;
 use pb3dp_setup::region_spec::RegionSpec;
 use pb3dp_setup::setup::{interval, read_cameras};
@@ -125,28 +125,34 @@ impl CameraChoice {
     pub(in crate::commands) fn chosen(&self) -> Result<Chosen> {
         match self.setup() {
             Some(setup) => of_setup(&setup, true),
-            None => self.typed(),
+            None => self.typed(&StatedCalibration::default()),
         }
     }
 
-    /// As [`Self::chosen`], but the calibration of a setup need not exist yet: the cameras are shown without it, with a warning.
+    /// As [`Self::chosen`], with what the user states about --calib. The calibration of a setup need not exist yet: the cameras are shown
+    /// without it, with a warning.
     ///
     /// # Errors
     /// As [`Self::chosen`].
-    pub(in crate::commands) fn to_show(&self) -> Result<Chosen> {
+    pub(in crate::commands) fn to_show(&self, stated: &StatedCalibration) -> Result<Chosen> {
         match self.setup() {
             Some(setup) => of_setup(&setup, false),
-            None => self.typed(),
+            None => self.typed(stated),
         }
     }
 
     /// The cameras of the command line.
-    fn typed(&self) -> Result<Chosen> {
+    fn typed(&self, stated: &StatedCalibration) -> Result<Chosen> {
         let (layout, left, right) = self.devices()?;
         let loaded = match self.calib.as_slice() {
             [] => None,
-            files => Some(load_stereo(files).context("--calib")?),
+            files => {
+                Some(load_stated(files, self.size, stated).and_then(StereoCalibration::decided).context("--calib")?)
+            }
         };
+        for warning in loaded.iter().flat_map(|loaded| &loaded.warnings) {
+            tracing::warn!("{warning}");
+        }
         let rig = loaded.as_ref().map(|loaded| loaded.rig);
         let calibrated = rig.as_ref().map(|rig| rig.left().size());
         let size = self.size.or(calibrated).unwrap_or(ImageSize { width: 640, height: 480 });

@@ -7,13 +7,14 @@ use anyhow::{Context, Result, bail};
 use image::RgbImage;
 use nalgebra::Vector2;
 use pb3dp_cell::calibration_share::term_or_warning;
+use pb3dp_cell::lens_reading::decide_lens;
 use pb3dp_cell::search_range::{self, range_of_dataset};
 use pb3dp_estimation::calibration_term::CalibrationTerm;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::StereoRig;
 use pb3dp_hal_api::StereoCamera;
-use pb3dp_record::calibration_files::load_stereo_for;
+use pb3dp_record::calibration_files::load_stated;
 use pb3dp_record::dataset::{Case, load_case};
 use pb3dp_record::images::{StoredImage, check_size, size_of};
 use pb3dp_setup::region_spec::load_region;
@@ -35,8 +36,10 @@ pub struct Job {
     pub calibration_term: Option<CalibrationTerm>,
     /// The files of the calibration.
     pub calibration_files: Vec<PathBuf>,
-    /// Warnings about the calibration.
+    /// What the user should know of the files.
     pub notes: Vec<String>,
+    /// Assumptions about the calibration that can be wrong.
+    pub calibration_warnings: Vec<String>,
     /// The object.
     pub region: Region,
     /// Image point at which the depth is reported; default: the region's centroid.
@@ -54,9 +57,10 @@ impl Job {
     /// A missing or damaged file, or inconsistent values; by name.
     pub fn from_case(folder: &Path, method: &MethodArgs) -> Result<Self> {
         let case = load_case(folder)?;
-        let calibration = case.load_calibration()?;
         let images = case.load_images()?;
+        let calibration = case.load_calibration_for(size_of(&images.left))?;
         check_sizes(&calibration.rig, &images.left, &case.left, &calibration.source)?;
+        let calibration = decide_lens(calibration, &images.left, &images.right)?;
         let vertices_px = case.region_polygon_left_px.iter().map(|&[u, v]| Vector2::new(u, v)).collect();
         Ok(Self {
             name: case.name.clone(),
@@ -66,6 +70,7 @@ impl Job {
             rig: calibration.rig,
             calibration_files: vec![case.calibration.clone()],
             notes: calibration.notes,
+            calibration_warnings: calibration.warnings,
             region: Region::Polygon { vertices_px },
             centroid_px: case.region_centroid_px,
             range: overridden(range_of_dataset(&case.search), method),
@@ -82,11 +87,12 @@ impl Job {
             bail!("one pair needs --left, --right, --calib and --region");
         };
         let left = StoredImage::load(left_file)?;
-        let calibration = load_stereo_for(&args.calib, left.size())?;
+        let calibration = load_stated(&args.calib, Some(left.size()), &args.recording.calibration.stated())?;
         let right = StoredImage::load(right_file)?;
         check_size(right_file, right.size(), (left.size(), &left_file.display().to_string()))?;
         let ([left, right], note) = StoredImage::to_rgb_pair([left, right], &mut args.recording.range.clone());
         check_sizes(&calibration.rig, &left, left_file, &calibration.source)?;
+        let calibration = decide_lens(calibration, &left, &right)?;
         let calibration_term = term_or_warning(&calibration);
         let mut notes = calibration.notes;
         notes.extend(note);
@@ -100,6 +106,7 @@ impl Job {
             calibration_term,
             calibration_files: args.calib.clone(),
             notes,
+            calibration_warnings: calibration.warnings,
             centroid_px: None,
             range: overridden(given, &args.method),
             case: None,
@@ -132,7 +139,8 @@ impl Job {
                 args.frame
             ),
         };
-        for warning in &recording.warnings {
+        let of_calibration = &recording.camera.calibration().warnings;
+        for warning in recording.warnings.iter().filter(|warning| !of_calibration.contains(warning)) {
             tracing::warn!("{warning}");
         }
         let mut notes = recording.notes;
@@ -150,6 +158,7 @@ impl Job {
             calibration_term: term_or_warning(recording.camera.calibration()),
             calibration_files: args.calib.clone(),
             notes,
+            calibration_warnings: recording.camera.calibration().warnings.clone(),
             region,
             centroid_px: None,
             range: overridden(given, &args.method),

@@ -170,6 +170,9 @@ fn work(
             case.other_keys.join(", ")
         );
     }
+    for warning in &job.calibration_warnings {
+        tracing::warn!("{}: {warning}", job.name);
+    }
     let pair_warning = usable(&job.name, &check_pair(&job.rig, &job.left, &job.right))?;
     tell_click(job, &config.published.region);
     let mut estimator = rigs.estimator(job, (method, config))?;
@@ -181,7 +184,7 @@ fn work(
     });
     let request = EstimateRequest::of_target(&job.left, &job.right, &job.region, &job.range);
     let visible = args.surface.as_ref().map(|_| estimator.visible_surface(&request));
-    rigs.give_back(estimator);
+    rigs.give_back(job, estimator);
     let mut estimate = estimate?;
     let surface = match (&args.surface, visible) {
         (Some(file), Some(points)) => {
@@ -198,7 +201,7 @@ fn work(
     let mut line = EstimateLine::of(&job.name, method.name(), &estimate, (centroid_px, z_m), millis);
     line.calibration_covariance = calibration_covariance(job, &estimate, &centroid_px, &config.published.region)?;
     line.surface = surface;
-    line.warnings.extend(pair_warning);
+    line.warnings.extend(pair_warning.into_iter().chain(job.calibration_warnings.iter().cloned()));
     if let Err(error) = overlays.draw(job, &estimate, &line, &config.published.region) {
         tracing::warn!("{}: no image: {error:#}", job.name);
     }

@@ -1,28 +1,29 @@
-//! Measurements that are shared by all cases of a rig or scene.
+//! What is shared by all cases of a rig or scene.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method, RowMeasurement};
+use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
+use pb3dp_estimation::rig_watch::RigWatch;
+
 use pb3dp_hal_platform::cpu_time::timed;
-use pb3dp_record::plain_zero::plain_zero;
 
 use super::job::Job;
 
-/// Measured rigs, by their calibration files.
+/// What the pairs of each rig have shown of it, by the calibration files.
 #[derive(Default)]
 pub struct Rigs {
-    rows: HashMap<Vec<PathBuf>, RowMeasurement>,
+    watches: HashMap<Vec<PathBuf>, RigWatch>,
     /// A finished estimator of the same method, whose memory is used again.
     idle: Option<Estimator>,
 }
 
 impl Rigs {
-    /// An estimator for a job; the first job of a calibration measures the rig. All jobs of a call have the same parameters.
+    /// An estimator for a job. All jobs of a call have the same parameters.
     ///
     /// # Errors
-    /// A parameter out of range, or images that do not match the calibration.
+    /// A parameter out of range.
     pub fn estimator(&mut self, job: &Job, (method, config): (Method, &EstimatorConfig)) -> Result<Estimator> {
         let mut estimator = match self.idle.take().filter(|idle| idle.method() == method) {
             Some(mut idle) => {
@@ -31,40 +32,23 @@ impl Rigs {
             }
             None => Estimator::new(method, &job.rig, config)?,
         };
-        let files: Vec<PathBuf> = job.calibration_files.iter().map(canonical).collect();
-        if let Some(known) = self.rows.get(&files) {
-            estimator.use_rows(known);
-            return Ok(estimator);
+        if let Some(watch) = self.watches.remove(&files(job)) {
+            estimator.use_watch(watch);
         }
-        let (measured, millis) = timed(|| estimator.prepare(&job.left, &job.right));
-        let Some(measured) = measured? else { return Ok(estimator) };
-        if measured.rows.is_zero() {
-            // Another pair of this rig may show more.
-            tracing::info!(
-                "{}: row offset not measured: only {} points are found in both images ({millis:.1} ms)",
-                job.name,
-                measured.matches
-            );
-            return Ok(estimator);
-        }
-        let size = job.rig.right().size();
-        let told = format!(
-            "{}: vertical misalignment {:.2} px at the image centre (positive: the right image is lower), at most {:.2} px anywhere; \
-             compensated (rectified images, {} points, {millis:.1} ms, once per calibration)",
-            job.name,
-            measured.rows.offset_px,
-            measured.rows.magnitude_max_px(size.width, size.height),
-            measured.matches
-        );
-        tracing::info!("{}", plain_zero(&told));
-        self.rows.insert(files, measured);
+        let (measured, millis) = timed(|| estimator.look(&job.left, &job.right));
+        tracing::debug!("{}: rows: {:?} ({millis:.1} ms)", job.name, measured?);
         Ok(estimator)
     }
 
-    /// Returns a finished estimator.
-    pub fn give_back(&mut self, estimator: Estimator) {
+    /// Takes back the estimator of a finished job.
+    pub fn give_back(&mut self, job: &Job, estimator: Estimator) {
+        self.watches.insert(files(job), estimator.watch().clone());
         self.idle = Some(estimator);
     }
+}
+
+fn files(job: &Job) -> Vec<PathBuf> {
+    job.calibration_files.iter().map(canonical).collect()
 }
 
 /// Canonical path of a file.

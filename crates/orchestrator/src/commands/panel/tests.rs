@@ -25,7 +25,7 @@ fn with_page(work: impl FnOnce(&Page)) {
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
     let system = EmulatedSystem::new(clock.clone(), vec![EmulatedCamera::usual(0), EmulatedCamera::usual(1)]);
     let choice: CameraChoice = typed(&["--format", "YUYV", "--size", "64x48", "--skew-max", "30"]);
-    let chosen = choice.to_show().unwrap();
+    let chosen = choice.to_show(&Default::default()).unwrap();
     let (camera, desk) = open_cameras(&chosen.config, (Arc::new(system.clone()), clock.clone())).unwrap();
     let source = of_cameras(chosen, camera, desk);
     let config = PanelConfig::at("127.0.0.1:0".parse().unwrap());

@@ -2,6 +2,7 @@
 
 mod csv;
 mod overlays;
+mod skew;
 mod surface;
 mod walk;
 
@@ -17,9 +18,9 @@ use pb3dp_estimation::estimator::Method;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_hal_api::{CameraErrorKind, FramePair, StereoCamera};
 use pb3dp_record::metrics::{MotionSummary, compare_motion};
-use pb3dp_wiring::Recording;
 use pb3dp_wiring::message_codes::in_words;
 use pb3dp_wiring::wire_replay;
+use pb3dp_wiring::{Recording, ReplayPace};
 
 use self::csv::EstimateFiles;
 use self::overlays::Overlays;
@@ -45,7 +46,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         check_cloud("--surface", file)?;
     }
     args.method.warn_without_effect();
-    let mut recording = wire_replay(&args.sequence, &args.calib, &args.recording, args.pace).context("--sequence")?;
+    let mut recording = opened(args, args.pace)?;
     for note in recording.notes.iter().chain(&recording.camera.calibration().notes) {
         tracing::info!("{note}");
     }
@@ -53,7 +54,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         tracing::warn!("{warning}");
     }
     let rig = *recording.camera.rig();
-    let mut walk = Walk::new(method, &rig, &recording, args)?;
+    let mut walk = new_walk(&recording, args)?;
     let mut shares = TrackShares::new(rig, term_or_warning(recording.camera.calibration()), walk.targets().len());
     let mut csv = EstimateFiles::open(args.csv.as_deref(), walk.targets().len())?;
     let mut overlays = Overlays::open(&args.method)?;
@@ -107,6 +108,22 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     })
 }
 
+fn opened(args: &TrackArgs, pace: ReplayPace) -> Result<Recording> {
+    wire_replay(&args.sequence, &args.calib, &args.recording.all(), pace).context("--sequence")
+}
+
+/// All targets of a recording, with the skew that its first pairs show if it states none.
+fn new_walk(recording: &Recording, args: &TrackArgs) -> Result<Walk> {
+    let (method, rig) = (args.method.method, recording.camera.rig());
+    let mut walk = Walk::new(method, rig, recording, args)?;
+    if !recording.states_skew && method == Method::Direct {
+        let again = opened(args, ReplayPace::Fast)?;
+        let told = skew::of(again, Walk::new(method, rig, recording, args)?)?;
+        walk.use_skew(told.skew.map(|skew| skew.skew_s), told.warning());
+    }
+    Ok(walk)
+}
+
 /// A line for each target of a frame.
 fn all_lines(frame: usize, t_s: f64, found: &[TargetResult], shares: &mut TrackShares) -> Vec<TrackLine> {
     let line = |(index, found): (usize, &TargetResult)| {
@@ -121,7 +138,7 @@ fn all_lines(frame: usize, t_s: f64, found: &[TargetResult], shares: &mut TrackS
             }
             Outcome::Refused { reason } => TrackLine::of_error(frame, t_s, reason),
         };
-        line.warnings.extend(found.pair_warning.clone());
+        line.warnings.extend(found.rig_warnings.iter().cloned());
         TrackLine { target: found.target, ..line }
     };
     found.iter().enumerate().map(line).collect()

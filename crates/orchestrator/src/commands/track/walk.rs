@@ -36,9 +36,14 @@ pub struct Walk {
     judged_from: usize,
     /// Mid-exposure of the last readable frame.
     last_at: Option<MonotonicTime>,
+    /// What was assumed of the calibration, until it is reported.
+    calibration_warnings: Vec<String>,
     rotation_about_normal_observed: bool,
     /// CPU time for one target in one frame, milliseconds.
     deadline_millis: Option<f64>,
+    /// The skew of all pairs, if the recording states none, and what is to be told of it with the first frame.
+    skew_s: Option<f64>,
+    skew_warning: Option<String>,
 }
 
 /// One target.
@@ -65,8 +70,8 @@ pub struct TargetResult {
     pub target: Option<usize>,
     /// The outcome.
     pub outcome: Outcome,
-    /// Mismatch between the images and their calibration; reported once, with the first frame.
-    pub pair_warning: Option<String>,
+    /// Mismatch between the images and their calibration, and what was assumed of it; reported once, with the first frame.
+    pub rig_warnings: Vec<String>,
 }
 
 /// Outcome of a target in a frame.
@@ -123,6 +128,22 @@ impl TrackedTarget {
             }
         }
         outcome
+    }
+
+    /// For pairs whose skew nobody has stated.
+    ///
+    /// # Errors
+    /// A rig that cannot be rectified.
+    pub fn watch_skew(&mut self) -> Result<()> {
+        Ok(self.follower.watch_skew(true)?)
+    }
+
+    /// Follows the target for its skew only; whether the next pair is needed.
+    pub fn look_for_skew(&mut self, pair: &FramePair, before: &mut Option<MonotonicTime>) -> bool {
+        let last_at = before.replace(pair.exposed_at);
+        let dt_s = last_at.map(|last_at| pair.exposed_at.seconds_since(last_at));
+        let prior = FramePrior { dt_s, ..FramePrior::default() };
+        self.step(pair, &prior, None).is_ok() && self.tracker().skew().is_some_and(|skew| !skew.is_done())
     }
 
     fn region(&self, left: &RgbImage) -> Result<Region> {
@@ -182,7 +203,8 @@ impl Walk {
         let marks: Vec<Mark> = own.into_iter().chain(args.region.iter().cloned().map(Mark::Spec)).collect();
         if marks.is_empty() {
             bail!(
-                "the recording has no region: mark the target in the left image of its first frame with --region, such as --region rect:X,Y,WIDTH,HEIGHT, or with the mouse: pb3dp panel --sequence"
+                "the recording has no region: mark the target in the left image of its first frame with --region, such as --region rect:X,Y,WIDTH,HEIGHT, or with the mouse: pb3dp panel --sequence {}",
+                args.sequence.display()
             );
         }
         let target = |mark| Ok(TrackedTarget::new(mark, Tracker::new(method, rig, &config)?, range));
@@ -192,9 +214,22 @@ impl Walk {
             first: None,
             judged_from: 0,
             last_at: None,
+            calibration_warnings: recording.camera.calibration().warnings.clone(),
             rotation_about_normal_observed: true,
             deadline_millis: args.method.deadline,
+            skew_s: None,
+            skew_warning: None,
         })
+    }
+
+    /// Takes a skew for all pairs, and a warning for the first frame.
+    pub fn use_skew(&mut self, skew_s: Option<f64>, warning: Option<String>) {
+        (self.skew_s, self.skew_warning) = (skew_s, warning);
+    }
+
+    /// The first target.
+    pub fn first_target(&mut self) -> Option<&mut TrackedTarget> {
+        self.targets.first_mut()
     }
 
     /// The frame since which the motion is compared with the truth.
@@ -222,21 +257,27 @@ impl Walk {
     /// # Errors
     /// Exchanged images in the first frame, or only refused regions.
     pub fn step(&mut self, frame: usize, pair: &FramePair) -> Result<Vec<TargetResult>> {
-        let mut pair_warning = None;
+        let mut rig_warnings = Vec::new();
         if self.first.is_none() {
             let what = format!("frame {frame}");
-            pair_warning = usable(&what, &check_pair(&self.rig, &pair.left, &pair.right)).context(what)?;
+            let pair_warning = usable(&what, &check_pair(&self.rig, &pair.left, &pair.right)).context(what)?;
+            rig_warnings = pair_warning.into_iter().chain(std::mem::take(&mut self.calibration_warnings)).collect();
             if frame > 0 {
                 tracing::warn!("the regions belong to frame 0, which cannot be read; they are used in frame {frame}");
             }
+            if let Some(warning) = self.skew_warning.take() {
+                tracing::warn!("{warning}");
+                rig_warnings.push(warning);
+            }
             self.first = Some(frame);
-            if pair.skew_nanos != 0 {
+            if pair.skew_nanos != 0 || self.skew_s.is_some() {
                 self.judged_from = frame + 1;
             }
         }
         let before = self.last_at.replace(pair.exposed_at);
         let dt_s = before.map(|before| pair.exposed_at.seconds_since(before));
-        let prior = FramePrior { dt_s, skew_s: pair.skew_s(), ..FramePrior::default() };
+        let skew_s = self.skew_s.unwrap_or(pair.skew_s());
+        let prior = FramePrior { dt_s, skew_s, ..FramePrior::default() };
         let several = self.targets.len() > 1;
         let mut all = Vec::with_capacity(self.targets.len());
         for (index, target) in self.targets.iter_mut().enumerate() {
@@ -256,7 +297,7 @@ impl Walk {
                 }
                 Outcome::Refused { .. } => {}
             }
-            all.push(TargetResult { target: index, outcome, pair_warning: pair_warning.clone() });
+            all.push(TargetResult { target: index, outcome, rig_warnings: rig_warnings.clone() });
         }
         if self.targets.iter().all(|target| target.refused.is_some()) {
             bail!("frame {frame}: the regions of all targets are refused");

@@ -8,7 +8,7 @@ use pb3dp_bag::messages::{Image, Text};
 use pb3dp_bag::pairs::{PairOptions, StereoBag, decoded};
 use pb3dp_bag::topics::ours;
 use pb3dp_camera_v4l2::emulated::EmulatedCamera;
-use pb3dp_record::calibration_files::load_stereo;
+use pb3dp_record::calibration_files::{StatedCalibration, load_stereo};
 use pb3dp_record::dataset::load_sequence;
 
 use super::super::emulated_rig::{case, images, number_in, system, system_of_one, typed, typed_of_one, typed_of_setup};
@@ -267,9 +267,9 @@ fn a_file_has_every_pair_as_it_was() {
     };
     let with = of_file("with.mcap", &["--calib", &place.calibration]);
     let expected = load_stereo(&[place.calibration.clone().into()]).unwrap();
-    assert_eq!(with.calibration().unwrap().rig.left(), expected.rig.left());
+    assert_eq!(with.calibration(&StatedCalibration::default()).unwrap().rig.left(), expected.rig.left());
     let without = of_file("without.mcap", &[]);
-    assert!(without.calibration().unwrap_err().to_string().contains("--calib"));
+    assert!(without.calibration(&StatedCalibration::default()).unwrap_err().to_string().contains("--calib"));
     let again = typed(&["--format", "RGB3", "--out", &place.folder.path().join("with.mcap").display().to_string()]);
     let (system, clock) = system(|_, _| {});
     let error = recorded(system, clock, &again, &mut never).unwrap_err();
