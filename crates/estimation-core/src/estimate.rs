@@ -57,6 +57,12 @@ pub enum EstimateWarning {
         /// The errors, as text.
         errors: String,
     },
+    /// The images do not show whether the calibration is right.
+    #[error(
+        "too few points have texture to check the calibration with these images: with a wrong one the answer would look the same, and the \
+         standard deviations allow only for cameras that have shifted a little"
+    )]
+    RigUnchecked,
     /// The right camera exposes at another time than the left one.
     #[error(
         "the right camera exposes {skew_ms:+.1} ± {sigma_ms:.1} ms after the left one, as its rows show when the target moves: state it \

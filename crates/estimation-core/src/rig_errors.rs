@@ -70,9 +70,14 @@ impl Default for RigErrors {
 }
 
 impl RigErrors {
-    /// Those of a rig that was calibrated with care, before any image.
-    pub fn calibrated() -> Self {
-        Self { covariance: diagonal(&CALIBRATED_SIGMAS), ..Self::default() }
+    /// What is to be believed of a rig that no image has shown: that it was calibrated with care, or has shifted a little. Whether it has moved, no
+    /// standard deviation can say.
+    #[must_use]
+    pub fn unseen(&self) -> Self {
+        let [(calibrated, sigmas), (shifted, shifted_sigmas), _] = KINDS;
+        let share = shifted / (calibrated + shifted);
+        let covariance = diagonal(&sigmas) * (1.0 - share) + diagonal(&shifted_sigmas) * share;
+        Self { errors: ErrorVector::zeros(), covariance, ..*self }
     }
 
     /// Nothing measured yet of a rig with this rectification.

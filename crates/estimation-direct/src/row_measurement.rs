@@ -5,20 +5,21 @@
 //! differences gives the errors that explain them ([`pb3dp_estimation_core::rig_errors`]). It takes some milliseconds.
 
 mod patch;
+mod target;
 
 use nalgebra::{Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::image_view::ImageView;
-use pb3dp_estimation_core::region::{Region, RegionConfig, RegionMask};
+use pb3dp_estimation_core::region::RegionMask;
 use pb3dp_estimation_core::rig_errors::{
     ERRORS, ErrorCovariance, ErrorVector, MOVED_FROM, OFFSET, PlanePlace, ROLL, RigErrors, SCALE,
 };
 use pb3dp_estimation_core::rng::SplitMix64;
-use pb3dp_estimation_core::row_offset::RowOffset;
 use pb3dp_geometry::StereoRig;
 
 use self::patch::{CORRELATION_MIN, CoarseSearch, GRADIENT_MIN, Patch, RADIUS, refine};
+pub use self::target::{KnownTarget, RegionRows};
 use super::colour_planes::Wanted;
 use super::disparity_plane::{DisparityRange, RectifiedGeometry};
 use super::front_end::{Side, StereoFrontEnd};
@@ -81,14 +82,6 @@ const RELATIVE_SIGMA_MIN: f64 = 0.7;
 /// Smallest standard deviation of a point's row, pixels. Chosen by hand, not varied: that of sharp images without noise.
 const SPREAD_MIN_PX: f64 = 0.03;
 
-/// Depths of a region, as shares of the known one; the level of its search, whose patches are small enough for few to cross its edge, and rows of
-/// this level on either side; matches that it needs; and the smallest standard deviation of its row offset, pixels. Chosen by hand, not varied: 20 px
-/// of rows are 40 ms at 300 mm/s and 0.5 m.
-const DEPTH_SHARES: [f64; 2] = [0.8, 1.3];
-const REGION_LEVEL: usize = 1;
-const REGION_REACH: i64 = 10;
-const REGION_MATCHES_MIN: usize = 6;
-const REGION_SIGMA_MIN_PX: f64 = 0.02;
 /// Disparity (baseline over depth) at which a turn of the baseline is judged: a scene at five baselines.
 const USUAL_DISPARITY: f64 = 0.2;
 
@@ -278,16 +271,17 @@ impl RowMeter {
             wanted: Wanted::Luminance,
             search_area_px: usize::MAX,
         };
-        let (matches, textured) = self.matches(&source, (level, reach, SPACING), pyramid);
+        let (matches, textured) = self.matches(&source, |_| source.disparity_px, (level, reach), pyramid);
         (fit(&matches, geometry, self.nothing), textured)
     }
 
     /// Matches of the points in a region that the search on a level finds, with the rows of the unmoved right image; and the number of points
-    /// with texture.
+    /// with texture. `disparity_px`: where to search for a rectified left pixel.
     fn matches(
         &self,
         source: &PyramidSource<'_>,
-        (coarse, reach, spacing): (usize, i64, usize),
+        disparity_px: impl Fn(&Vector2<f64>) -> DisparityRange,
+        (coarse, reach): (usize, i64),
         pyramid: &mut RegionPyramid,
     ) -> (Vec<RowMatch>, usize) {
         if !pyramid.update(&self.front_end, source) || pyramid.levels().len() <= coarse {
@@ -296,10 +290,10 @@ impl RowMeter {
         let level = &pyramid.levels()[coarse];
         let (columns, lines) = (level.left.window.width, level.left.window.height);
         let margin = RADIUS + 2;
-        let mut search = CoarseSearch::new(level, source.disparity_px, reach, self.front_end.kernels());
+        let mut search = CoarseSearch::new(level, reach, self.front_end.kernels());
         let points = (margin..lines.saturating_sub(margin))
-            .step_by(spacing)
-            .flat_map(|y| (margin..columns.saturating_sub(margin)).step_by(spacing).map(move |x| (x, y)));
+            .step_by(SPACING)
+            .flat_map(|y| (margin..columns.saturating_sub(margin)).step_by(SPACING).map(move |x| (x, y)));
         let inside = points.filter(|(x, y)| level.region[y * columns + x] != 0);
         let levels = &pyramid.levels()[..=coarse];
         let (mut matches, mut textured) = (Vec::new(), 0);
@@ -307,47 +301,13 @@ impl RowMeter {
             let point = Vector2::new(x as i64, y as i64);
             let Some(patch) = textured_patch(level, point) else { continue };
             textured += 1;
-            let Some(mut found) = find_again(levels, &mut search, &patch, point) else { continue };
+            let range = disparity_px(&level.full_from_level(&point.map(|at| at as f64)));
+            let Some(mut found) = find_again(levels, &mut search, &patch, (point, range)) else { continue };
             // The pyramid shows the right image with its rows moved.
             found.right_px.y += source.rows.at(&found.right_px);
             matches.push(found);
         }
         (matches, textured)
-    }
-
-    /// The row offset of a part of the left image at a known depth. `None` if too few points are found.
-    pub fn measure_region(
-        &self,
-        (left, right): (ImageView<'_>, ImageView<'_>),
-        outline_px: &[Vector2<f64>],
-        depth_m: f64,
-    ) -> Option<RegionRows> {
-        let (front_end, geometry) = (&self.front_end, self.front_end.geometry());
-        front_end.check(left, right).ok()?;
-        let region = Region::Polygon { vertices_px: outline_px.to_vec() };
-        let raw = region.rasterize(left, &RegionConfig::default()).ok()?;
-        let mut buffer = RegionMask::default();
-        let region = front_end.rectified_region(&raw, &mut buffer).ok()?;
-        let [near, far] = DEPTH_SHARES.map(|share| geometry.disparity_px(depth_m * share));
-        let source = PyramidSource {
-            left,
-            right,
-            region,
-            disparity_px: DisparityRange { lowest: far, highest: near },
-            rows: RowOffset::default(),
-            wanted: Wanted::Luminance,
-            search_area_px: usize::MAX,
-        };
-        let search = (REGION_LEVEL, REGION_REACH, SPACING);
-        let (matches, _) = self.matches(&source, search, &mut RegionPyramid::default());
-        let focal_px = geometry.focal_px.y;
-        let offsets = || matches.iter().map(|found| found.offset_px() / focal_px);
-        let offset = median(offsets().collect());
-        let spread = 1.4826 * median(offsets().map(|own| (own - offset).abs()).collect());
-        // The median of a normal distribution has pi / 2 times the variance of the mean.
-        let sigma = (std::f64::consts::FRAC_PI_2 / matches.len() as f64).sqrt() * spread;
-        (matches.len() >= REGION_MATCHES_MIN)
-            .then_some(RegionRows { offset, sigma: sigma.max(REGION_SIGMA_MIN_PX / focal_px) })
     }
 
     /// Column and row of a point of the left camera in the rectified left image, tangents.
@@ -360,15 +320,6 @@ impl RowMeter {
     pub fn baseline_m(&self) -> f64 {
         self.front_end.geometry().baseline_m
     }
-}
-
-/// Row offset of a part of the image, tangents of angles.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RegionRows {
-    /// Right row minus left row.
-    pub offset: f64,
-    /// Standard deviation.
-    pub sigma: f64,
 }
 
 fn median(mut values: Vec<f64>) -> f64 {
@@ -396,10 +347,10 @@ fn find_again(
     levels: &[RegionLevel],
     search: &mut CoarseSearch<'_>,
     patch: &Patch,
-    point: Vector2<i64>,
+    (point, disparity_px): (Vector2<i64>, DisparityRange),
 ) -> Option<RowMatch> {
     let (_, finer) = levels.split_last()?;
-    let mut place = search.find(patch, point)?;
+    let mut place = search.find(patch, point, disparity_px)?;
     let mut at = point;
     for level in finer.iter().rev() {
         at *= 2;

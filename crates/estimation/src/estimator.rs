@@ -3,11 +3,12 @@
 use std::fmt;
 use std::str::FromStr;
 
-use nalgebra::Vector6;
+use nalgebra::{Vector3, Vector6};
 
 use pb3dp_estimation_core::error::EstimationError;
-use pb3dp_estimation_core::estimate::{PlaneEstimate, TrackEstimate};
+use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, TrackEstimate};
 use pb3dp_estimation_core::image_view::ImageView;
+use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::rig_errors::RigErrors;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
@@ -16,7 +17,7 @@ use pb3dp_estimation_track::DirectTrackerConfig;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
 
-use crate::rig_watch::RigWatch;
+use crate::rig_watch::{KnownTarget, RigWatch};
 use crate::skew_watch::SkewWatch;
 
 use pb3dp_estimation_core::method::Answer;
@@ -146,16 +147,43 @@ impl Estimator {
     ///
     /// # Errors
     /// See [`EstimationMethod::estimate`].
-    pub fn estimate(&mut self, request: EstimateRequest<'_>) -> Result<PlaneEstimate, EstimationError> {
+    pub fn estimate(&mut self, mut request: EstimateRequest<'_>) -> Result<PlaneEstimate, EstimationError> {
         if self.watch.errors().is_none() {
             self.look(request.left, request.right)?;
         }
-        let mut estimate = self.inner.estimate(request)?;
+        let mut estimate = self.inner.answer(&mut request)?;
+        if self.watch.errors().is_none() && self.look_at_target(&request, &estimate)? {
+            estimate = self.inner.answer(&mut request)?;
+        }
+        if request.deadline.is_over() {
+            estimate.mark_cut_short();
+        }
         if let Some(objection) = self.watch.objection() {
             (estimate.status, estimate.reason) = (Status::Miscalibrated, objection);
         }
         estimate.warnings.extend(self.watch.warning());
+        if self.watch.errors().is_none() && estimate.pose.is_some() {
+            estimate.warnings.push(EstimateWarning::RigUnchecked);
+        }
         Ok(estimate)
+    }
+
+    /// Compares the rows of the target with the calibration; whether they show the rig.
+    fn look_at_target(
+        &mut self,
+        request: &EstimateRequest<'_>,
+        estimate: &PlaneEstimate,
+    ) -> Result<bool, EstimationError> {
+        let Some((pose, target)) = estimate.pose.zip(request.target) else { return Ok(false) };
+        let target = KnownTarget {
+            region: target.region,
+            inverse_depth_plane: pose.inverse_depth_plane,
+            row_offset_px: estimate.row_offset_px.unwrap_or(0.0),
+            cam_left_later_from_cam_left: Pose::coincident(),
+        };
+        self.watch.look_at_target((request.left, request.right), &target);
+        correct(&mut *self.inner, &self.watch, (self.method, true), &mut self.rig)?;
+        Ok(self.watch.errors().is_some())
     }
 
     /// The visible surface of a region, see [`EstimationMethod::visible_surface`].
@@ -210,13 +238,12 @@ fn correct<A: Answer>(
     (method, may_restart): (Method, bool),
     rig: &mut StereoRig,
 ) -> Result<(), EstimationError> {
-    let Some(errors) = watch.errors() else { return Ok(()) };
     let is_wanted = match method {
         Method::Direct => true,
         Method::Published => may_restart && watch.has_moved() && rig != watch.rig(),
     };
     if is_wanted {
-        inner.correct_rig(watch.rig(), errors)?;
+        inner.correct_rig(watch.rig(), watch.believed())?;
         *rig = *watch.rig();
     }
     Ok(())
@@ -237,6 +264,10 @@ pub struct Tracker {
     steps: Steps,
     /// For pairs whose skew nobody has stated.
     skew: Option<Box<SkewWatch>>,
+    /// The skew of the pairs that `watch` has seen, seconds.
+    watched_skew_s: f64,
+    /// Whether a warning has said that the images do not show the rig.
+    is_told_unchecked: bool,
 }
 
 /// Rows show errors of the rig only if both cameras expose at once, to this time, seconds: at 100 mm/s and 0.5 m rows differ by 0.15 px.
@@ -291,6 +322,8 @@ impl Tracker {
             was_sure: false,
             steps: Steps::default(),
             skew: None,
+            watched_skew_s: 0.0,
+            is_told_unchecked: false,
         })
     }
 
@@ -327,18 +360,25 @@ impl Tracker {
         if let Some(found) = self.skew.as_ref().filter(|_| !is_stated).and_then(|skew| skew.found()) {
             request.prior.skew_s = found.skew_s;
         }
-        let rows_show_rig = request.prior.skew_s.abs() < SKEW_FOR_ROWS_S;
         self.pairs += 1;
-        if !rows_show_rig && self.watch.errors().is_some() {
-            self.forget_rig()?;
+        if (request.prior.skew_s - self.watched_skew_s).abs() >= SKEW_FOR_ROWS_S {
+            self.forget_rig(request.prior.skew_s)?;
         }
-        if rows_show_rig && (is_new || self.pairs >= LOOK_EVERY || self.watch.is_in_doubt()) {
+        let shows_rig = self.shows_rig();
+        let is_due = is_new || self.pairs >= LOOK_EVERY || self.watch.is_in_doubt();
+        if shows_rig && is_due {
             self.look(left, right, is_new)?;
         }
-        let mut estimate = self.inner.estimate(request)?;
-        let is_sure = estimate.status.depth_is_sure();
+        let mut estimate = self.inner.answer(&mut request)?;
         let has_jumped = self.steps.has_jumped(&estimate);
-        if rows_show_rig && ((self.was_sure && !is_sure) || has_jumped) && self.pairs > 0 {
+        if is_due && (!shows_rig || self.watch.errors().is_none()) {
+            self.look_at_target(&mut request, &mut estimate)?;
+        }
+        if request.deadline.is_over() {
+            estimate.mark_cut_short();
+        }
+        let is_sure = estimate.status.depth_is_sure();
+        if shows_rig && ((self.was_sure && !is_sure) || has_jumped) && self.pairs > 0 {
             // Have the cameras moved?
             self.look(left, right, false)?;
         }
@@ -356,13 +396,56 @@ impl Tracker {
         Ok(estimate)
     }
 
-    /// Forgets what rows have shown that were not of one moment.
-    fn forget_rig(&mut self) -> Result<(), EstimationError> {
+    /// Whether the rows of the whole image show the rig: both cameras expose at once.
+    fn shows_rig(&self) -> bool {
+        self.watched_skew_s.abs() < SKEW_FOR_ROWS_S
+    }
+
+    /// Forgets what rows have shown that were not of the moments that they were taken for.
+    fn forget_rig(&mut self, skew_s: f64) -> Result<(), EstimationError> {
+        self.watched_skew_s = skew_s;
         let calibrated = *self.watch.calibrated();
         self.watch = RigWatch::new(&calibrated)?;
-        if self.method == Method::Direct {
-            self.inner.correct_rig(&calibrated, &RigErrors::calibrated())?;
-            self.rig = calibrated;
+        correct(&mut *self.inner, &self.watch, (self.method, false), &mut self.rig)
+    }
+
+    /// Compares the rows of the target, whose motion between the exposures is known, with the calibration. A new target is estimated again if
+    /// they show another rig. Warns if they show nothing.
+    fn look_at_target(
+        &mut self,
+        request: &mut EstimateRequest<'_>,
+        estimate: &mut TrackEstimate,
+    ) -> Result<(), EstimationError> {
+        let Some(pose) = estimate.cam_left_from_model else { return Ok(()) };
+        let motion = match (self.shows_rig(), self.steps.step, request.prior.dt_s) {
+            (true, ..) => Pose::coincident(),
+            (false, Some(step), Some(dt_s)) if dt_s > 0.0 => {
+                pose * Pose::exp(&(step * (request.prior.skew_s / dt_s))) * pose.inverse()
+            }
+            _ => return Ok(()),
+        };
+        let normal = pose.transform_vector(&Vector3::z());
+        let target = KnownTarget {
+            region: &Region::Polygon { vertices_px: estimate.outline_px.clone() },
+            inverse_depth_plane: normal / normal.dot(&pose.translation_m()),
+            row_offset_px: 0.0,
+            cam_left_later_from_cam_left: motion,
+        };
+        let (knew, is_new) = (self.watch.has_moved(), request.target.is_some());
+        self.pairs = 0;
+        self.watch.look_at_target((request.left, request.right), &target);
+        let is_another = is_new && self.watch.has_moved() && !knew;
+        if is_another {
+            let calibrated = *self.watch.calibrated();
+            self.inner.set_rig(&calibrated)?;
+        }
+        correct(&mut *self.inner, &self.watch, (self.method, is_new), &mut self.rig)?;
+        if is_another {
+            *estimate = self.inner.answer(request)?;
+        }
+        if self.watch.errors().is_none() && !self.is_told_unchecked {
+            self.is_told_unchecked = true;
+            estimate.warnings.push(EstimateWarning::RigUnchecked);
         }
         Ok(())
     }

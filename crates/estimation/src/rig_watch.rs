@@ -10,7 +10,7 @@ use pb3dp_estimation_core::estimate::EstimateWarning;
 use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::rig_errors::{MOVED_FROM, PITCH, ROLL, RigErrors, SCALE};
 use pb3dp_estimation_direct::row_measurement::is_enough;
-pub use pb3dp_estimation_direct::row_measurement::{MATCHES_MIN, RowMeter};
+pub use pb3dp_estimation_direct::row_measurement::{KnownTarget, MATCHES_MIN, RowMeter};
 use pb3dp_geometry::{Rectification, StereoRig};
 
 /// Row offset anywhere in the image above which a calibration is not used: 1.5 px, or 2 mrad if that is more. Chosen with figures: real rigs
@@ -64,14 +64,16 @@ impl RigWatch {
     /// # Errors
     /// A rig that cannot be rectified.
     pub fn new(rig: &StereoRig) -> Result<Self, EstimationError> {
+        let rectification = rig.rectify()?;
+        let nothing = RigErrors::of_rig(&rectification);
         Ok(Self {
             calibrated: *rig,
-            rectification: rig.rectify()?,
+            rectification,
             meter: RowMeter::new(rig, Kernels::best())?,
             looks: 0,
             wide_looks: WIDE_LOOKS,
-            measured: RigErrors::default(),
-            errors: RigErrors::default(),
+            measured: nothing,
+            errors: nothing.unseen(),
             corrected: *rig,
             has_moved: false,
             other: None,
@@ -106,6 +108,17 @@ impl RigWatch {
             self.are_rectified = self.look_rectified(left, right, &measured)?;
         }
         Ok(measured)
+    }
+
+    /// Measures the rig on a target whose place is known: for pairs whose other points do not show it.
+    pub fn look_at_target(&mut self, images: (ImageView<'_>, ImageView<'_>), target: &KnownTarget<'_>) {
+        let measured = self.meter.measure_target(images, target);
+        let (believed, moved) = measured.believed();
+        let variance = |errors: &RigErrors| errors.covariance[(ROLL, ROLL)];
+        let tells = moved > RigErrors::default().believed().1 || variance(&believed) < variance(&measured.unseen());
+        if measured.matches > 0 && tells {
+            self.take(&measured);
+        }
     }
 
     /// Whether the images agree with the rectified cameras of the rig, and better than with the rig: the driver has rectified them already.
@@ -193,6 +206,11 @@ impl RigWatch {
     /// points.
     pub fn errors(&self) -> Option<&RigErrors> {
         (self.looks > 0).then_some(&self.errors)
+    }
+
+    /// What is believed of the rig: [`Self::errors`], and before the first look what is known of any rig.
+    pub fn believed(&self) -> &RigErrors {
+        &self.errors
     }
 
     /// What was corrected, if it is worth a warning.

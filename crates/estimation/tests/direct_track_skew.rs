@@ -11,8 +11,8 @@ use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_estimation_direct::estimator::DirectConfig;
 use pb3dp_estimation_track::{DirectTracker, DirectTrackerConfig};
-use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Target};
+use pb3dp_geometry::{Pose, StereoRig};
 
 use crate::moving_plane::{Shot, general_rig, moving, rectified_rig, region, render};
 use crate::painted;
@@ -80,44 +80,62 @@ fn paint(x: f64, y: f64) -> Option<f64> {
     (x.hypot(y) < 0.06).then_some(grey)
 }
 
-/// What the rows of a target tell that moves by up to 120 mm/s, up and down as well, and whose pairs state no skew.
-fn found(skew_s: f64) -> (Option<Skew>, Vec<EstimateWarning>) {
-    let rig = rectified_rig();
+/// Follows a target that moves by up to 120 mm/s, up and down as well. `taken_by`: the rig that took the images, which is stated to be
+/// `rectified_rig`; `stated_s`: the skew that is stated.
+fn follow(taken_by: &StereoRig, skew_s: f64, stated_s: f64) -> (Tracker, Vec<TrackEstimate>) {
     let at = |t_s: f64| -> Pose<CamLeft, Target> {
         let turn = pb3dp_geometry::so3::exp(&Vector3::new(0.12, -0.2, 0.05 + 0.1 * t_s));
         let swing = |size: f64, period_s: f64| size * (std::f64::consts::TAU * t_s / period_s).sin();
         Pose::from_parts(Vector3::new(0.03 + swing(0.012, 0.9), swing(0.014, 0.7), 0.45), turn)
     };
-    let mut tracker = Tracker::new(Method::Direct, &rig, &EstimatorConfig::default()).expect("tracker");
+    let mut tracker = Tracker::new(Method::Direct, &rectified_rig(), &EstimatorConfig::default()).expect("tracker");
     tracker.watch_skew(true).expect("a rig");
     let range = SearchRange { z_min_m: 0.3, z_max_m: 0.7, tilt_max_rad: 0.8 };
-    let mut warnings = Vec::new();
-    for frame in 0..FRAMES {
+    let estimates = (0..FRAMES).map(|frame| {
         let t_s = f64::from(frame) / FPS;
-        let (left, _) = painted::pair(&rig, &at(t_s), paint, 2 * frame);
-        let (_, right) = painted::pair(&rig, &at(t_s + skew_s), paint, 2 * frame + 1);
-        let centre = rig.left().project(&Point3::from(at(t_s).translation_m())).expect("in front");
+        let (left, _) = painted::pair(taken_by, &at(t_s), paint, 2 * frame);
+        let (_, right) = painted::pair(taken_by, &at(t_s + skew_s), paint, 2 * frame + 1);
+        let centre = taken_by.left().project(&Point3::from(at(t_s).translation_m())).expect("in front");
         let [x, y] = [centre.x, centre.y].map(|px| px as i32 - 36);
         let region = Region::Rectangle { x, y, width: 72, height: 72 };
-        let prior = FramePrior { dt_s: Some(1.0 / FPS), ..FramePrior::default() };
+        let prior = FramePrior { dt_s: Some(1.0 / FPS), ..FramePrior::of_skew(stated_s) };
         let request = match frame {
-            0 => EstimateRequest::of_target(&left, &right, &region, &range),
+            0 => EstimateRequest::of_target(&left, &right, &region, &range).with_skew(stated_s),
             _ => EstimateRequest::of_next(&left, &right, &prior),
         };
-        warnings.extend(tracker.estimate(request).expect("valid images").warnings);
-    }
-    (tracker.skew().and_then(SkewWatch::skew), warnings)
+        tracker.estimate(request).expect("valid images")
+    });
+    let estimates = estimates.collect();
+    (tracker, estimates)
 }
 
 #[test]
 fn a_skew_that_nobody_has_stated_is_found_in_the_rows() {
-    for skew_s in [8e-3, -8e-3] {
-        let (skew, warnings) = found(skew_s);
-        let Skew { skew_s: found_s, sigma_s } = skew.expect("a skew");
-        assert!((found_s - skew_s).abs() < 1e-3 && sigma_s < 1e-3, "{skew_s} s: {found_s} +- {sigma_s}");
-        assert!(warnings.iter().any(|warning| matches!(warning, EstimateWarning::Skewed { .. })), "{warnings:?}");
+    for skew_s in [8e-3, -8e-3, 0.0] {
+        let (tracker, estimates) = follow(&rectified_rig(), skew_s, 0.0);
+        let Skew { skew_s: found_s, sigma_s } = tracker.skew().and_then(SkewWatch::skew).expect("a skew");
+        assert!((found_s - skew_s).abs() < 1e-3 && sigma_s < 2e-3, "{skew_s} s: {found_s} +- {sigma_s}");
+        let warnings: Vec<&EstimateWarning> = estimates.iter().flat_map(|estimate| &estimate.warnings).collect();
+        let is_told = warnings.iter().any(|warning| matches!(warning, EstimateWarning::Skewed { .. }));
+        assert_eq!((is_told, warnings.is_empty()), (skew_s != 0.0, skew_s == 0.0), "{warnings:?}");
     }
-    let (skew, warnings) = found(0.0);
-    let Skew { skew_s, sigma_s } = skew.expect("a skew");
-    assert!(skew_s.abs() < 1e-3 && sigma_s < 2e-3 && warnings.is_empty(), "{skew_s} +- {sigma_s}, {warnings:?}");
+}
+
+/// The rows of the whole image belong to two moments; those of the target, whose motion is known, show the rig.
+#[test]
+fn a_wrong_rig_is_named_beside_a_skew() {
+    let rig = rectified_rig();
+    let rolled = |deg: f64| {
+        let turn =
+            Pose::from_parts(Vector3::zeros(), pb3dp_geometry::so3::exp(&Vector3::new(0.0, 0.0, deg.to_radians())));
+        StereoRig::new(*rig.left(), *rig.right(), turn * *rig.cam_right_from_cam_left()).expect("a rig")
+    };
+    for (stated_s, deg) in [(20e-3, 1.0), (-20e-3, -1.0), (0.0, 1.0)] {
+        let (_, estimates) = follow(&rolled(deg), if stated_s == 0.0 { 12e-3 } else { stated_s }, stated_s);
+        let TrackEstimate { status, reason, .. } = estimates.last().expect("frames");
+        assert_eq!(*status, Status::Miscalibrated, "{stated_s} s, {deg} degrees: {reason}");
+    }
+    let (tracker, estimates) = follow(&rig, 20e-3, 20e-3);
+    assert!(tracker.watch().errors().is_some_and(|errors| errors.errors.norm() < 1e-3), "{:?}", tracker.watch());
+    assert!(estimates.iter().all(|estimate| estimate.status == Status::Ok && estimate.warnings.is_empty()));
 }

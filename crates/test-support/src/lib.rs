@@ -19,4 +19,4 @@ pub mod witness;
 pub use not_checked::not_checked;
 pub use program_lines::program_lines;
 pub use real_time::{beside_each_other, in_real_time, in_real_time_beside_others, programs_in_real_time_beside_others};
-pub use sweep::sweep;
+pub use sweep::{scenes, sweep};

@@ -32,16 +32,16 @@ pub(super) struct CoarseSearch<'a> {
     certainty: ImagePlane,
     /// Correlations along the compared rows.
     scores: Vec<Vec<f32>>,
-    /// Shifts from the left window to the right one, pixels of the level.
-    disparity: DisparityRange,
+    /// Rectified pixels per pixel of the level, and the first column of the right window minus that of the left one.
+    scale: f64,
+    column_shift: f64,
     /// Number of rows on either side that are compared.
     reach: i64,
     kernels: Kernels,
 }
 
 impl<'a> CoarseSearch<'a> {
-    /// A search over these disparities, pixels of the full size.
-    pub(super) fn new(level: &'a RegionLevel, disparity_px: DisparityRange, reach: i64, kernels: Kernels) -> Self {
+    pub(super) fn new(level: &'a RegionLevel, reach: i64, kernels: Kernels) -> Self {
         let right = level.right.luminance();
         let size = |length: usize| (length + 1).saturating_sub(SIDE);
         let mut certainty = ImagePlane::new(size(right.width()), size(right.height()));
@@ -51,15 +51,19 @@ impl<'a> CoarseSearch<'a> {
             let [sums, squares] = &mut columns;
             certainty_row(kernels, &rows, sums, squares, certainty.row_mut(y));
         }
-        let shift = |disparity_px: f64| disparity_px / level.scale as f64 - f64::from(level.column_shift());
-        let DisparityRange { lowest, highest } = disparity_px;
-        let disparity = DisparityRange { lowest: shift(lowest), highest: shift(highest) };
-        Self { right, certainty, scores: Vec::new(), disparity, reach, kernels }
+        let (scale, column_shift) = (level.scale as f64, f64::from(level.column_shift()));
+        Self { right, certainty, scores: Vec::new(), scale, column_shift, reach, kernels }
     }
 
-    /// The best position of a left patch among the possible disparities, on its row and the rows on either side, if it is clearly the best.
-    pub(super) fn find(&mut self, patch: &Patch, at: Vector2<i64>) -> Option<Vector2<i64>> {
-        let columns = self.columns(at.x);
+    /// The best position of a left patch among disparities (pixels of the full size), on its row and the rows on either side, if it is clearly the
+    /// best.
+    pub(super) fn find(
+        &mut self,
+        patch: &Patch,
+        at: Vector2<i64>,
+        disparity_px: DisparityRange,
+    ) -> Option<Vector2<i64>> {
+        let columns = self.columns(at.x, disparity_px);
         if columns.is_empty() {
             return None;
         }
@@ -90,9 +94,10 @@ impl<'a> CoarseSearch<'a> {
     }
 
     /// First columns of the right patches that may show the same point as a left patch.
-    fn columns(&self, left_column: i64) -> Range<usize> {
-        let at = |disparity: f64| left_column as f64 - disparity - RADIUS as f64;
-        let (first, last) = (at(self.disparity.highest).floor(), at(self.disparity.lowest).ceil());
+    fn columns(&self, left_column: i64, disparity_px: DisparityRange) -> Range<usize> {
+        let at =
+            |disparity_px: f64| left_column as f64 - (disparity_px / self.scale - self.column_shift) - RADIUS as f64;
+        let (first, last) = (at(disparity_px.highest).floor(), at(disparity_px.lowest).ceil());
         let width = self.certainty.width();
         let [first, end] = [first, last + 1.0].map(|column| (column.max(0.0) as usize).min(width));
         first..end.max(first)
