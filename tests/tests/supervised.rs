@@ -312,7 +312,7 @@ fn a_stop_by_a_policy_ends_the_run_with_its_reason() {
         }
     }
     let line = refused.unwrap();
-    assert!(line.starts_with("stopped: target lost") && line.contains("then use reset [PB3DP-SUP-"), "{line}");
+    assert!(line.starts_with("stopped: target lost") && line.contains("then start a new run [PB3DP-SUP-"), "{line}");
     bench.moving.stop().unwrap();
 }
 
@@ -379,7 +379,7 @@ fn a_target_that_jumps_is_not_followed_by_itself() {
         assert!(way_m < 0.004 && way_rad < 0.01, "{channel:?}: the hand went {way_m} m, {way_rad} rad");
         let last = log.supervision.summary().transitions.pop().unwrap();
         assert_eq!((last.to, last.event), ("holding", "hold-found"), "{channel:?}: {last:?}");
-        assert!(last.t_s < 3.3 && last.why.contains("use resume"), "{last:?}");
+        assert!(last.t_s < 3.3 && last.why.contains("then start a new run"), "{last:?}");
     }
 }
 

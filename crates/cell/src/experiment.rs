@@ -73,10 +73,11 @@ pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: O
     let looking = Looking::new(setup, (camera, cell.clone(), marking), (strip, &clock), record)?
         .with_selections(selections)
         .with_controls(parts.camera_controls);
+    let is_alone = operator.is_nobody();
     let mut moving = Moving::new(setup, (vs, tc), &*experiment, now)?.with_operator(operator);
     let ends_s = stop_after_s.map_or(duration_s, |s| s.clamp(0.0, duration_s));
     let plan = Plan::of(&setup.experiment.motion, &*experiment);
-    let journal = Journal::new(setup, (now, ends_s), (log, plan));
+    let journal = Journal::new(setup, (now, ends_s), (log, plan)).without_console(is_alone);
     let faults = FaultWatch::default();
     let mut watching = Watching { looking, journal, cell, spectator, faults, keep_flights, recorder };
     let course = Course { setup, clock: &clock, duration: Duration::from_secs_f64(ends_s), interrupt: &interrupt };
@@ -189,7 +190,7 @@ impl Record for Keeping<'_, '_> {
             spectator.moved(step);
         }
         if let Some(number) = self.faults.due(step.at, &step.decision) {
-            (self.keep_flights)(number, &anyhow!("{}", step.decision.why));
+            (self.keep_flights)(number, &anyhow!(self.journal.words(&step.decision.why)));
             if let Some(recorder) = self.recorder {
                 recorder.fault(number);
             }

@@ -98,6 +98,20 @@ impl Journal {
         Self { is_quiet: true, ..self }
     }
 
+    /// The same for a run to which nobody can give commands: its lines name none.
+    #[must_use]
+    pub fn without_console(mut self, is_alone: bool) -> Self {
+        if is_alone {
+            self.log.supervision.leave_out_commands();
+        }
+        self
+    }
+
+    /// The line of a reason.
+    pub fn words(&self, why: &Why) -> String {
+        self.log.supervision.words(why)
+    }
+
     /// Sets the start time of the experiment.
     pub fn begin_at(&mut self, begin: MonotonicTime) {
         self.begin = begin;
@@ -171,7 +185,7 @@ impl Journal {
         }
         if t_s >= self.next_progress_s {
             self.next_progress_s += PROGRESS_EVERY_S;
-            tracing::info!("{t_s:5.1} of {:.1} s  {}", self.duration_s, moved.decision.why);
+            tracing::info!("{t_s:5.1} of {:.1} s  {}", self.duration_s, self.words(&moved.decision.why));
         }
     }
 

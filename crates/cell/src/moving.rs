@@ -176,8 +176,7 @@ impl<'a> Moving<'a> {
 
     /// Warns once of a rest that only a person could end, where nobody can type `resume`.
     fn warn_of_a_rest_without_end(&mut self, decision: &Decision) {
-        let has_nobody = !self.operator.is_person() && !self.operator.can_fall_silent();
-        if decision.why.waits_for_resume() && has_nobody && !self.is_rest_told {
+        if decision.why.waits_for_resume() && self.operator.is_nobody() && !self.is_rest_told {
             self.is_rest_told = true;
             tracing::warn!(
                 "the arms rest until the run ends: without a console nobody can use resume; use --operator console"
@@ -278,7 +277,7 @@ impl<'a> Moving<'a> {
     fn stay_stopped(&mut self, decision: &Decision, now: MonotonicTime) -> Result<()> {
         if !self.operator.is_person() {
             self.arms.why_latched()?;
-            bail!("{}", decision.why)
+            bail!("{}", decision.why.without_console())
         }
         if self.is_stopped && !self.arms.is_switching_on() {
             self.stay_off(now);

@@ -37,6 +37,11 @@ pub trait Operator: Send {
 
     /// Whether the sign of life ends when nobody is there. A run moves arms that are not emulated only with such an operator.
     fn can_fall_silent(&self) -> bool;
+
+    /// Whether nobody can give commands: then no message asks for one.
+    fn is_nobody(&self) -> bool {
+        !self.is_person() && !self.can_fall_silent()
+    }
 }
 
 /// How the operator wants the hand to move, within what the setup and the supervisor allow.

@@ -52,6 +52,8 @@ pub struct SupervisionLog {
     transitions: Vec<TransitionNote>,
     steps_initialising: u64,
     gone: GoneCause,
+    /// Nobody can give the run commands.
+    without_console: bool,
 }
 
 /// Finds out when the cause of a stop or a hold has gone.
@@ -63,12 +65,12 @@ struct GoneCause {
 
 impl GoneCause {
     /// The log line of this step, once for each time that a cause goes.
-    fn note(&mut self, t_s: f64, decision: &Decision) -> Option<String> {
+    fn note(&mut self, t_s: f64, decision: &Decision, words: impl Fn(&Why) -> String) -> Option<String> {
         let why = decision.why;
         match decision.transition.map(|transition| transition.event) {
-            Some(Event::CauseGone) => return Some(format!("the cause of the hold is gone: {why}")),
-            Some(Event::TargetFound) => return Some(format!("the target is found again: {why}")),
-            Some(Event::Reset) => return Some(format!("the stop is reset: {why}")),
+            Some(Event::CauseGone) => return Some(format!("the cause of the hold is gone: {}", words(&why))),
+            Some(Event::TargetFound) => return Some(format!("the target is found again: {}", words(&why))),
+            Some(Event::Reset) => return Some(format!("the stop is reset: {}", words(&why))),
             _ => {}
         }
         if !matches!(why, Why::CauseGone { .. } | Why::Latched { is_gone: true, .. }) {
@@ -78,14 +80,25 @@ impl GoneCause {
         let since_s = *self.since_s.get_or_insert(t_s);
         let is_due = !self.is_told && t_s - since_s >= GONE_FOR_S;
         self.is_told |= is_due;
-        is_due.then(|| why.to_string())
+        is_due.then(|| words(&why))
     }
 }
 
 impl SupervisionLog {
+    /// Names no commands from now on: nobody can give the run any.
+    pub fn leave_out_commands(&mut self) {
+        self.without_console = true;
+    }
+
+    /// The line of a reason.
+    pub fn words(&self, why: &Why) -> String {
+        words(why, self.without_console)
+    }
+
     /// The log line of a step in which the cause of a stop or a hold has gone.
     pub fn gone(&mut self, t_s: f64, decision: &Decision) -> Option<String> {
-        self.gone.note(t_s, decision)
+        let without_console = self.without_console;
+        self.gone.note(t_s, decision, |why| words(why, without_console))
     }
 
     /// Records a step; returns the state change, if there is one.
@@ -100,7 +113,7 @@ impl SupervisionLog {
             from: transition.from.name(),
             to: transition.to.name(),
             event: transition.event.name(),
-            why: decision.why.to_string(),
+            why: self.words(&decision.why),
         });
         self.transitions.last()
     }
@@ -135,6 +148,10 @@ impl SupervisionLog {
             share_following: self.steps_following() as f64 / (steps - self.steps_initialising).max(1) as f64,
         }
     }
+}
+
+fn words(why: &Why, without_console: bool) -> String {
+    if without_console { why.without_console().to_string() } else { why.to_string() }
 }
 
 impl Supervision {
@@ -212,6 +229,11 @@ mod tests {
         let held = Why::CauseGone { state: State::Holding, cause, then: Then::Resume };
         let told = said(910..1000, &|_| held);
         assert!(told.len() == 1 && told[0].ends_with("; use resume"), "{told:?}");
+        let mut log = SupervisionLog::default();
+        log.leave_out_commands();
+        let mut told = (0..100)
+            .filter_map(|step| log.gone(f64::from(step) / 100.0, &Decision { why: held, transition: None, ..resting }));
+        assert!(told.next().is_some_and(|told| told.ends_with("; start a new run")) && told.next().is_none());
     }
 
     #[test]

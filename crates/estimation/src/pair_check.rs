@@ -68,7 +68,7 @@ const RIVAL_DISTANCE: usize = 3;
 pub enum PairVerdict {
     /// The images match the calibration, within what the patches can show.
     Consistent,
-    /// The images do not match, usually because matches are behind the cameras, but are consistent once swapped.
+    /// The images are consistent once swapped, and contradict their order: patches match behind the cameras, or almost none match.
     Swapped,
     /// Patches match behind the cameras, and swapping the images does not help.
     BehindCameras,
@@ -86,11 +86,13 @@ pub enum PairVerdict {
 /// Left and right images that are exchanged, or that are both mirrored or turned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "left and right look exchanged: {behind} of {agreeing} patches match only behind the cameras, and once exchanged {fitting_exchanged} \
-     match in front{}",
+    "left and right look exchanged: {}, and once exchanged {fitting_exchanged} match in front{}",
+    self.evidence(),
     self.alternatives()
 )]
 pub struct Exchanged {
+    /// As in [`PairCheck`].
+    pub patches: usize,
     /// As in [`PairCheck`].
     pub agreeing: usize,
     /// As in [`PairCheck`].
@@ -104,6 +106,14 @@ pub struct Exchanged {
 }
 
 impl Exchanged {
+    fn evidence(&self) -> String {
+        let Self { patches, agreeing, behind, .. } = self;
+        match is_behind(*behind, *agreeing) {
+            true => format!("{behind} of {agreeing} patches match only behind the cameras"),
+            false => format!("only {agreeing} of {patches} patches match in this order"),
+        }
+    }
+
     fn alternatives(&self) -> String {
         let which = match (self.fits_mirrored, self.fits_turned) {
             (true, true) => "mirrored, or turned by 180 degrees",
@@ -156,9 +166,11 @@ impl PairCheck {
     /// # Errors
     /// Left and right are exchanged: all estimates from them would be wrong.
     pub fn accepted(&self) -> Result<Option<String>, Exchanged> {
-        let Self { agreeing, behind, fitting_exchanged, fits_mirrored, fits_turned, .. } = *self;
+        let Self { patches, agreeing, behind, fitting_exchanged, fits_mirrored, fits_turned, .. } = *self;
         match self.verdict {
-            PairVerdict::Swapped => Err(Exchanged { agreeing, behind, fitting_exchanged, fits_mirrored, fits_turned }),
+            PairVerdict::Swapped => {
+                Err(Exchanged { patches, agreeing, behind, fitting_exchanged, fits_mirrored, fits_turned })
+            }
             _ => Ok(self.doubt()),
         }
     }
@@ -174,8 +186,7 @@ impl PairCheck {
             ),
             PairVerdict::RowsDisagree { offset_px } => format!(
                 "{agreeing} of {matches} matching patches lie {:.1} px {} the row or line that the calibration predicts (spread \
-                 {:.1} px): it does not belong to these images, or the cameras have moved; give the right file or calibrate \
-                 again",
+                 {:.1} px): the cameras may have moved since, or it may belong to others; calibrate again, or give the right file",
                 offset_px.abs(),
                 if offset_px > 0.0 { "below" } else { "above" },
                 self.row_spread_px.unwrap_or_default()
@@ -225,7 +236,7 @@ fn check_views(rig: &StereoRig, left: ImageView<'_>, right: ImageView<'_>) -> Pa
     }
     let exchanged = in_order(rig, right, left);
     let fitting_exchanged = exchanged.agreeing - exchanged.behind;
-    if exchanged.verdict != PairVerdict::Consistent {
+    if exchanged.verdict != PairVerdict::Consistent || !check.contradicts_the_order() {
         return PairCheck { fitting_exchanged, ..check };
     }
     // Mirrored and turned images also have their disparities in reverse.
@@ -288,13 +299,23 @@ impl PairCheck {
             _ if deciding < PATCHES_MIN => PairVerdict::Unknown,
             Some(offset_px) if is_peak(self.agreeing, self.matches) => match offset_px {
                 _ if offset_px.abs() > ROW_OFFSET_MAX_PX => PairVerdict::RowsDisagree { offset_px },
-                _ if self.behind as f64 >= BEHIND_SHARE_MAX * agreeing => PairVerdict::BehindCameras,
+                _ if is_behind(self.behind, self.agreeing) => PairVerdict::BehindCameras,
                 _ => PairVerdict::Consistent,
             },
             _ if agreeing < FOUND_SHARE_MIN * deciding as f64 => PairVerdict::Unrelated,
             _ => PairVerdict::Unknown,
         }
     }
+
+    /// Whether the images cannot be in the right order. Rows that disagree do not show this: a wrong calibration has them as well.
+    fn contradicts_the_order(&self) -> bool {
+        self.verdict == PairVerdict::Unrelated || is_behind(self.behind, self.agreeing)
+    }
+}
+
+/// Whether so many of the agreeing matches are behind the cameras that these cannot have taken the images.
+fn is_behind(behind: usize, agreeing: usize) -> bool {
+    behind > 0 && behind as f64 >= BEHIND_SHARE_MAX * agreeing as f64
 }
 
 /// Whether more matches agree than by chance.

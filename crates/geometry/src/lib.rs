@@ -24,7 +24,7 @@ pub use camera::{Camera, CameraError, Distortion, ImageSize, Pinhole};
 pub use frames::Frame;
 pub use pose::Pose;
 pub use rectification::{Rectification, RectificationError};
-pub use stereo_rig::{StereoRig, StereoRigError};
+pub use stereo_rig::{RectificationObstacle, StereoRig, StereoRigError};
 pub use time::MonotonicTime;
 pub use twist::Twist;
 pub use value_range::{ValueRange, WrongRange};

@@ -113,16 +113,45 @@ impl StereoRig {
     /// Whether rows are epipolar lines and columns differ by disparity only: no distortion, no rotation, a baseline along x,
     /// equal fx, fy and cy (cx may differ).
     pub fn is_rectified(&self) -> bool {
+        self.obstacles().next().is_none()
+    }
+
+    /// What keeps the rig from being rectified.
+    pub fn obstacles(&self) -> impl Iterator<Item = RectificationObstacle> + use<> {
+        use RectificationObstacle::{Baseline, Cy, Fx, Fy, LeftDistortion, RightDistortion, Rotation};
         let (l, r) = (self.left.pinhole(), self.right.pinhole());
         let t = self.cam_right_from_cam_left.translation_m();
-        let same = |a: f64, b: f64| (a - b).abs() <= 1e-6 * a.abs().max(1.0);
-        matches!(self.left.distortion(), Distortion::None)
-            && matches!(self.right.distortion(), Distortion::None)
-            && self.cam_right_from_cam_left.rotation_angle_rad() < 1e-9
-            && t.y.abs() <= 1e-9
-            && t.z.abs() <= 1e-9
-            && same(l.fx, r.fx)
-            && same(l.fy, r.fy)
-            && same(l.cy, r.cy)
+        let differ = |a: f64, b: f64| (a - b).abs() > 1e-6 * a.abs().max(1.0);
+        let is_distorted = |camera: &Camera| !matches!(camera.distortion(), Distortion::None);
+        [
+            (LeftDistortion, is_distorted(&self.left)),
+            (RightDistortion, is_distorted(&self.right)),
+            (Rotation, self.cam_right_from_cam_left.rotation_angle_rad() >= 1e-9),
+            (Baseline, t.y.abs() > 1e-9 || t.z.abs() > 1e-9),
+            (Fx, differ(l.fx, r.fx)),
+            (Fy, differ(l.fy, r.fy)),
+            (Cy, differ(l.cy, r.cy)),
+        ]
+        .into_iter()
+        .filter_map(|(obstacle, is_there)| is_there.then_some(obstacle))
     }
+}
+
+/// What rectified cameras do not have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RectificationObstacle {
+    /// Distortion of the left camera.
+    LeftDistortion,
+    /// Distortion of the right camera.
+    RightDistortion,
+    /// A rotation between the cameras.
+    Rotation,
+    /// A baseline that is not along x.
+    Baseline,
+    /// Different focal lengths along the rows.
+    Fx,
+    /// Different focal lengths along the columns.
+    Fy,
+    /// Different principal rows.
+    Cy,
 }

@@ -153,7 +153,6 @@ const ESTIMATE_JSON: &str = "Lines of --json (one per case):
 #[derive(Debug, Args)]
 #[command(after_long_help = ESTIMATE_JSON, group = ArgGroup::new("images").required(true).args(["cases", "left", "sequence"]))]
 #[command(group = ArgGroup::new("of_recordings").multiple(true).args(["frame", "topics", "pair_within", "layout"]).conflicts_with_all(["cases", "left"]))]
-#[command(group = ArgGroup::new("of_calibrations").multiple(true).args(["calib_unit", "calib_size", "calib_lens", "rectified"]).conflicts_with("cases"))]
 #[command(group = ArgGroup::new("of_deep_images").args(["range"]).conflicts_with("cases"))]
 pub struct EstimateArgs {
     /// Every case folder (one with a case.json) under DIR; the format is described in docs/dataset-format.md.

@@ -169,7 +169,21 @@ fn case_calibrations() {
     check("\"doffs_px\": 12", "\"doffs_px\": -12", ["calib.json: doffs_px: is -12", "is 12"]);
     check("[640, 480]", "[64, 48]", ["calib.json: K_left: cx is 319.5", "another image size"]);
     check("[[1, 0, 0], [0, 1, 0]", "[[1, 0, 0], [0, 1, 0.2]", ["calib.json: R: is not a rotation", ""]);
-    check("[0, 740, 239.5]", "[0, 741, 239.5]", ["calib.json: rectified: is true", "contradict it"]);
+    let contradicted = |from: &str, to: &str, found: &str| {
+        let reason =
+            format!("{found}; write false for images as the cameras took them, and correct these values otherwise");
+        self::check(&[("calib.json", text)], 0, from, to, ["calib.json: rectified: is true, but ", &reason]);
+    };
+    contradicted("[0, 740, 239.5]", "[0, 741, 239.5]", "but K_left[1][1] is 741 and K_right[1][1] is 740");
+    contradicted(
+        "[[740, 0, 319.5], [0, 740, 239.5]",
+        "[[747, 0, 319.5], [0, 740, 238]",
+        "but K_left[0][0] is 747 and K_right[0][0] is 740, K_left[1][2] is 238 and K_right[1][2] is 239.5",
+    );
+    contradicted("-100, 0, 0", "-100, 0.01, 0", "but t_mm is [-100.0000, 0.0100, 0.0000], not along x");
+    contradicted("[0, 1, 0], [0, 0, 1]]", "[0, 1, 1e-6], [0, -1e-6, 1]]", "but R turns by 5.730e-5 degrees");
+    let coefficients = r#""distortion_right": {"model": "plumb_bob", "coefficients": [0.1, 0, 0, 0]}, "baseline_mm""#;
+    contradicted("\"baseline_mm\"", coefficients, "but distortion_right is given");
     check(
         "none (rectified)",
         "see manual",

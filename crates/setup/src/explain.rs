@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use crate::layers::Layers;
 use crate::layers::built_in_keys::{Values, all_keys, texts};
 use crate::load::{nearest, unit_of};
-use crate::setup::refusals_of;
+use crate::setup::{camera_faults, refusals_of};
 
 /// Keys that mean the same in each table of their kind, which has the comment.
 const OF_MANY_TABLES: [(&str, &str); 5] = [
@@ -15,6 +15,9 @@ const OF_MANY_TABLES: [(&str, &str); 5] = [
     ("translation_mm", "translation [x, y, z]"),
     ("rotation_vector_deg", "rotation as axis times angle [x, y, z]"),
 ];
+
+/// A list that no built-in setup has, and whose elements differ in their keys.
+const FAULTS: &str = "camera.faults";
 
 /// Meaning, unit, range and built-in values of one key.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -39,6 +42,10 @@ pub fn explain(key: &str) -> Result<Vec<Explanation>, Vec<String>> {
     let of_sample = as_sample(key);
     let known = all_keys();
     let below: Vec<&String> = known.keys().filter(|known| is_within(known, &of_sample)).collect();
+    if is_within(&of_sample, FAULTS) {
+        let about = format!("may be left out; {}", camera_faults::help());
+        return Ok(vec![Explanation { key: FAULTS.to_owned(), about, unit: None, allowed: None, values: Vec::new() }]);
+    }
     if below.is_empty() && is_taken(&of_sample) {
         let about = "may be left out; no built-in setup states it".to_owned();
         let allowed = texts().find_map(|(name, text)| allowed_in(name, text, &of_sample, "1e12"));
@@ -202,6 +209,10 @@ mod tests {
         let start = &explain("arms.left_arm.start_deg").unwrap()[0];
         assert!(start.values.len() > 1, "{start:?}");
         assert!(explain("camera.left.device").unwrap()[0].about.contains("USB port"));
+        for key in ["camera.faults", "camera.faults.0.kind", "camera.faults.share"] {
+            let about = &explain(key).unwrap()[0].about;
+            assert!(about.contains("dropped (share)") && about.contains("frozen, black (cameras)"), "{about}");
+        }
     }
 
     #[test]

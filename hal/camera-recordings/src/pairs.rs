@@ -60,9 +60,12 @@ impl RecordedPairs {
         let period = asked.rate.map_or(period, PairsPerSecond::period);
         let mut pairs = Self::found(path, kind, asked, period)?;
         pairs.check_range()?;
-        if let (Some(PairsPerSecond(hz)), true) = (asked.rate, pairs.has_times) {
-            let message =
-                format!("--rate {hz} has no effect: {} states the times of its pairs; leave it out", pairs.name);
+        let without_rate = match kind {
+            Kind::Case(_) => Some("is one pair"),
+            _ => pairs.has_times.then_some("states the times of its pairs"),
+        };
+        if let (Some(PairsPerSecond(hz)), Some(why)) = (asked.rate, without_rate) {
+            let message = format!("--rate {hz} has no effect: {} {why}; leave it out", pairs.name);
             return Err(CameraError::new(CameraErrorKind::Unusable, message));
         }
         if let Some(SkewMillis(millis)) = asked.skew {

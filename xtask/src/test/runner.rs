@@ -147,9 +147,16 @@ impl Runner {
                     }
                 });
             }
+            let begin = Instant::now();
             let built = build(self);
             let mut state = of(&self.state);
             state.is_building = false;
+            println!(
+                "build ended after {:.0} s; {} test programs run, {} wait: each gets a line when it ends, the longest ones began first",
+                begin.elapsed().as_secs_f64(),
+                state.running_others + state.running_punctual,
+                state.others.len() + state.punctual.len()
+            );
             if built.is_err() {
                 (state.others, state.punctual) = (Vec::new(), Vec::new());
             }
@@ -308,6 +315,7 @@ pub fn doctests(workspace: &Workspace, plan: &Plan) -> anyhow::Result<Option<Run
         return Ok(None);
     }
     let mut command = workspace.cargo();
+    println!("$ cargo test --doc {}", selected.join(" "));
     command.args(["test", "--quiet", "--doc", "--locked"]).args(selected);
     let output = command.args(&plan.filter).output().context("cannot run cargo")?;
     let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).concat();

@@ -94,8 +94,8 @@ impl TrackLine {
         }
     }
 
-    /// The line of the human table.
-    pub fn human(&self) -> String {
+    /// The line of the human table, with the time since the first frame: the times of a recording may be dates.
+    pub fn human(&self, first_s: f64) -> String {
         let number = |value: Option<f64>, decimals: usize| value.map_or("-".into(), |x| format!("{x:.decimals$}"));
         let at = |k: usize| number(self.cam_left_from_model.map(|m| m[k]), 2);
         let turn = self.cam_left_from_model.map_or("-".into(), |m| {
@@ -107,7 +107,7 @@ impl TrackLine {
             "{:>5}{} {:>8.3}  {:<14} {:>9} {:>9} {:>9}  {:<25} {:>8} {:>8}",
             self.frame,
             self.target.map_or(String::new(), |target| format!(" {target:>6}")),
-            self.t_s,
+            self.t_s - first_s,
             self.status,
             at(3),
             at(7),
@@ -136,5 +136,18 @@ mod tests {
         );
         let two = json(&TrackLine::all_of_error(4, 0.25, 2, "no file"));
         assert!(two[1].starts_with(r#"{"schema_version":1,"frame":4,"target":1,"t_s":0.25,"#), "{two:?}");
+    }
+
+    #[test]
+    fn columns_stay_below_their_headings_if_the_times_are_dates() {
+        let first_s = 1_700_000_000.0;
+        for several in [false, true] {
+            let [heading, line] = [TrackLine::heading(several), {
+                let line = TrackLine::of_error(7, first_s + 12.5, "no file");
+                TrackLine { target: several.then_some(1), ..line }.human(first_s)
+            }];
+            assert_eq!(heading.find("status"), line.find("error"), "{heading}\n{line}");
+            assert!(line.contains(" 12.500  error"), "{line}");
+        }
     }
 }

@@ -7,7 +7,7 @@ use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use pb3dp_estimation_test_support::scene::lattice_hash;
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
 
-use super::{PairCheck, PairVerdict, check_pair};
+use super::{Exchanged, PairCheck, PairVerdict, check_pair};
 
 const SIZE: ImageSize = ImageSize { width: 320, height: 240 };
 
@@ -110,6 +110,46 @@ fn mirrored_and_turned_images_are_named_beside_exchanged_ones() {
             let message = check.accepted().expect_err("exchanged").to_string();
             assert!(message.contains("left and right look exchanged") && message.contains(named), "{message}");
         }
+    }
+}
+
+/// Principal columns that differ much put the matches in front of the cameras in either order. If the calibration is also wrong, the rows can
+/// disagree in one order and agree in the other one by a hair: this is no evidence for an exchange.
+#[test]
+fn a_wrong_calibration_does_not_look_exchanged() {
+    let taken_by = rectified(90.0);
+    let (left, right) = render(&taken_by, 3);
+    let Pinhole { fx, fy, cx, cy } = *taken_by.left().pinhole();
+    for shift_px in [-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5] {
+        let wrong = Pinhole { fx: 1.01 * fx, fy: 1.01 * fy, cx, cy: cy + shift_px };
+        let camera = Camera::new(SIZE, wrong, Distortion::None).expect("camera");
+        let roll = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.01);
+        let pose = Pose::from_parts(taken_by.cam_right_from_cam_left().translation_m(), roll);
+        let rig = StereoRig::new(camera, *taken_by.right(), pose).expect("rig");
+        let [check, exchanged] = [(&left, &right), (&right, &left)].map(|(left, right)| check_pair(&rig, left, right));
+        assert!(check.verdict != PairVerdict::Swapped && exchanged.verdict != PairVerdict::Swapped, "{check:?}");
+    }
+}
+
+/// A lens or a calibration that is far off leaves hardly a match in the wrong order: the message then counts those.
+#[test]
+fn an_exchange_is_told_with_its_evidence() {
+    let exchanged = |agreeing, behind| Exchanged {
+        patches: 90,
+        agreeing,
+        behind,
+        fitting_exchanged: 60,
+        fits_mirrored: false,
+        fits_turned: false,
+    };
+    let start = "left and right look exchanged: ";
+    let end = ", and once exchanged 60 match in front";
+    for ((agreeing, behind), evidence) in [
+        ((40, 38), "38 of 40 patches match only behind the cameras"),
+        ((3, 0), "only 3 of 90 patches match in this order"),
+        ((0, 0), "only 0 of 90 patches match in this order"),
+    ] {
+        assert_eq!(exchanged(agreeing, behind).to_string(), format!("{start}{evidence}{end}"));
     }
 }
 

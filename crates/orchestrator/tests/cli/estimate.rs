@@ -11,7 +11,7 @@ use pb3dp_record::dataset::{CaseDraft, Hardness, PlaneTruth, SearchRange, write_
 use pb3dp_record::images::{StoredFormat, save};
 use pb3dp_sim::targets::TargetConfig;
 use pb3dp_sim::targets::part::SceneObject;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::cli::support::*;
 
@@ -170,6 +170,27 @@ fn the_table_is_for_people_and_has_a_line_per_case() {
     assert_eq!(lines.len(), 1 + folders(&real_cases()).len(), "{}", finished.stdout);
     assert!(lines[0].contains("status") && lines[0].contains("z mm"), "{}", lines[0]);
     assert!(lines[1..].iter().all(|line| line.starts_with("bb") && !line.contains('{')), "{}", finished.stdout);
+}
+
+/// A message names an option for rectified images with the calibration of raw ones. A pose that must not be used is no answer.
+#[test]
+fn cases_with_rectified_images_and_the_calibration_of_raw_ones_need_an_option() {
+    let (from, dir) = (real_cases().join("bb204_c0"), tempfile::tempdir().unwrap());
+    for file in std::fs::read_dir(&from).unwrap().map(|entry| entry.unwrap().path()) {
+        std::fs::copy(&file, dir.path().join(file.file_name().unwrap())).unwrap();
+    }
+    let file = dir.path().join("calib.json");
+    let mut calibration: Value = serde_json::from_str(&std::fs::read_to_string(&file).unwrap()).unwrap();
+    calibration["rectified"] = json!(false);
+    for key in ["distortion_left", "distortion_right"] {
+        calibration[key] = json!({"model": "plumb_bob", "coefficients": [-0.3, 0, 0, 0]});
+    }
+    std::fs::write(&file, calibration.to_string()).unwrap();
+    let cases = words(&[&"estimate", &"--cases", &dir.path()]);
+    let raw = pb3dp(&cases).assert_success();
+    assert!(!raw.stdout.contains(" ok ") && raw.stderr.contains("\nboards: not answered: 1 "), "{}", raw.stderr);
+    let rectified = pb3dp(&[cases, words(&[&"--rectified"])].concat()).assert_success();
+    assert!(rectified.stdout.contains(" ok ") && !rectified.stderr.contains("not answered"), "{}", rectified.stderr);
 }
 
 /// Centroid of a polygon's area.
@@ -415,6 +436,7 @@ fn to_the_published_method_a_grey_region_is_not_observable_and_groups_are_told_a
     };
     assert_eq!((row("textured")[1], row("textured")[2]), ("1", "1"));
     assert_eq!((row("lowtex")[1], row("lowtex")[2]), ("1", "0"), "asked once, never answered");
+    assert!(finished.stderr.contains("\nlowtex: not answered: 1 not-observable\n"), "{}", finished.stderr);
 }
 
 #[test]

@@ -82,6 +82,8 @@ fn options_without_effect_on_a_recording_are_refused() {
             ]);
         }
     }
+    let rate = words(&[&"track", &"--sequence", &case, &"--rate", &"10"]);
+    pb3dp(&rate).assert_refused(&["--rate 10 has no effect", "bb201_c0 is one pair", "leave it out"]);
 }
 
 #[test]

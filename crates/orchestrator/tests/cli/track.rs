@@ -382,6 +382,20 @@ fn a_bright_board_is_followed_as_a_whole() {
     }
 }
 
+/// The recording is read twice if it states no skew.
+#[test]
+fn the_range_of_depths_that_nobody_gave_is_told_once() {
+    let (case, dir) = (repository().join("tests/data/cases/bb201_c0"), tempfile::tempdir().unwrap());
+    for (side, number) in [("left", 0), ("right", 0), ("left", 1), ("right", 1)] {
+        let to = dir.path().join(format!("{side}_{number}.png"));
+        std::fs::copy(case.join(format!("{side}.png")), to).unwrap();
+    }
+    let (calibration, region) = (case.join("calib.json"), "rect:340,110,140,190");
+    let all = words(&[&"track", &"--sequence", &dir.path(), &"--calib", &calibration, &"--region", &region]);
+    let finished = pb3dp(&all).assert_success();
+    assert_eq!(finished.stderr.matches("no --z-range given").count(), 1, "{}", finished.stderr);
+}
+
 /// Writes the images of a sequence into a recording of ROS 2 in this order, with stamps of the frames in `stamps`. With `changed_at`, each
 /// image has a `camera_info` after it; that of the right camera has another focal length from this frame on.
 fn as_bag(sequence: &Path, file: &Path, stamps: &[usize], changed_at: Option<usize>) {

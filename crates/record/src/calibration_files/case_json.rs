@@ -1,7 +1,7 @@
 //! Our `calib.json`: camera matrices, `R` and `t_mm` of `X_right = R X_left + t`, millimetres.
 
 use nalgebra::{Matrix3, Vector3};
-use pb3dp_geometry::{Camera, Distortion, ImageSize, StereoRig};
+use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, RectificationObstacle, StereoRig};
 use serde_json::json;
 
 use super::document::Node;
@@ -47,12 +47,39 @@ pub(super) fn read(root: &Node<'_>) -> Result<StereoRig, CalibrationFileError> {
     let rig = checks::rig(&translation, cameras, &rotation, translation_mm * 1e-3)?;
     if let Some(node) = root.find("rectified")
         && node.truth()?
-        && !rig.is_rectified()
     {
-        let reason = "is true, but distortion, R, t_mm, or fx, fy and cy of K_left and K_right contradict it";
-        return Err(node.refuse(reason));
+        let contradictions: Vec<String> = rig.obstacles().map(|obstacle| contradiction(&rig, obstacle)).collect();
+        if !contradictions.is_empty() {
+            let reason = format!(
+                "is true, but {}; write false for images as the cameras took them, and correct these values otherwise",
+                contradictions.join(", ")
+            );
+            return Err(node.refuse(reason));
+        }
     }
     Ok(rig)
+}
+
+/// The keys with an obstacle, with their values.
+fn contradiction(rig: &StereoRig, obstacle: RectificationObstacle) -> String {
+    use RectificationObstacle as Obstacle;
+    let differ = |element: &str, of: fn(&Pinhole) -> f64| {
+        let [left, right] = [rig.left(), rig.right()].map(|camera| of(camera.pinhole()));
+        format!("K_left{element} is {left} and K_right{element} is {right}")
+    };
+    let pose = rig.cam_right_from_cam_left();
+    match obstacle {
+        Obstacle::LeftDistortion => "distortion_left is given".to_owned(),
+        Obstacle::RightDistortion => "distortion_right is given".to_owned(),
+        Obstacle::Rotation => format!("R turns by {:.3e} degrees", pose.rotation_angle_rad().to_degrees()),
+        Obstacle::Baseline => {
+            let t_mm = pose.translation_m() * 1e3;
+            format!("t_mm is [{:.4}, {:.4}, {:.4}], not along x", t_mm.x, t_mm.y, t_mm.z)
+        }
+        Obstacle::Fx => differ("[0][0]", |pinhole| pinhole.fx),
+        Obstacle::Fy => differ("[1][1]", |pinhole| pinhole.fy),
+        Obstacle::Cy => differ("[1][2]", |pinhole| pinhole.cy),
+    }
 }
 
 fn refuse_mistyped(root: &Node<'_>) -> Result<(), CalibrationFileError> {

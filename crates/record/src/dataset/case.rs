@@ -209,12 +209,17 @@ impl Case {
         Ok(load_stereo(std::slice::from_ref(&self.calibration))?)
     }
 
-    /// As [`Self::load_calibration`], for images of this size; [`StereoCalibration::other_lens`] is left to be decided.
+    /// As [`Self::load_calibration`], for images of this size, with what the user states; [`StereoCalibration::other_lens`] is left to be
+    /// decided.
     ///
     /// # Errors
-    /// As [`Self::load_calibration`].
-    pub fn load_calibration_for(&self, images: ImageSize) -> Result<StereoCalibration, DatasetError> {
-        Ok(load_stated(std::slice::from_ref(&self.calibration), Some(images), &StatedCalibration::default())?)
+    /// As [`Self::load_calibration`]; the user and the file state different things.
+    pub fn load_calibration_for(
+        &self,
+        images: ImageSize,
+        stated: &StatedCalibration,
+    ) -> Result<StereoCalibration, DatasetError> {
+        Ok(load_stated(std::slice::from_ref(&self.calibration), Some(images), stated)?)
     }
 
     /// Loads the disparity ground truth, if the case has one.

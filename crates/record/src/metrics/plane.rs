@@ -106,7 +106,9 @@ impl Group {
 pub struct EvaluatedCase {
     /// Its group.
     pub group: Group,
-    /// Its error; `None` if the method gave no pose.
+    /// Its status.
+    pub status: &'static str,
+    /// Its error; `None` if the method gave no pose that may be used.
     pub error: Option<PlaneError>,
     /// Agreement with the disparity map, if there is one.
     pub disparity: Option<DisparityAgreement>,

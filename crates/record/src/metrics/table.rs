@@ -1,17 +1,21 @@
 //! Summary of a method over the groups of cases.
 
+use std::collections::BTreeMap;
+
 use super::plane::{EvaluatedCase, Group};
 use super::{median, percentile};
 
-/// One row of the summary. Errors are over the cases with a pose, times over all cases.
+/// One row of the summary. Errors are over the answered cases, times over all cases.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GroupSummary {
     /// Name of the row: a group's, or `textured+boards`.
     pub name: &'static str,
     /// Number of cases.
     pub cases: usize,
-    /// Cases with a pose.
+    /// Cases with a pose that may be used.
     pub answered: usize,
+    /// Number of the other cases by status.
+    pub unanswered: BTreeMap<&'static str, usize>,
     /// Median of the absolute depth error, percent.
     pub z_median_percent: Option<f64>,
     /// 90th percentile of the same.
@@ -58,6 +62,8 @@ fn row(name: &'static str, cases: &[&EvaluatedCase]) -> GroupSummary {
     let normal_deg: Vec<_> = errors.iter().filter(|_| planar).map(|e| e.normal_rad.to_degrees()).collect();
     let disparity_px: Vec<_> = errors.iter().filter_map(|e| e.disparity_px.map(f64::abs)).collect();
     let millis: Vec<_> = cases.iter().map(|case| case.cpu_millis).filter(|ms| ms.is_finite()).collect();
+    let mut unanswered = BTreeMap::new();
+    cases.iter().filter(|case| case.error.is_none()).for_each(|case| *unanswered.entry(case.status).or_default() += 1);
     let good = errors.iter().filter(|e| e.is_good()).count();
     let maps: Vec<_> = cases.iter().filter(|c| c.error.is_some()).filter_map(|c| c.disparity).collect();
     let map_px: Vec<_> = maps.iter().map(|m| m.median_abs_px).collect();
@@ -66,6 +72,7 @@ fn row(name: &'static str, cases: &[&EvaluatedCase]) -> GroupSummary {
         name,
         cases: cases.len(),
         answered: errors.len(),
+        unanswered,
         z_median_percent: median(&z_percent),
         z_p90_percent: percentile(&z_percent, 90.0),
         z_median_mm: median(&z_mm),
@@ -95,7 +102,7 @@ const HEADINGS: [&str; 12] = [
     "ms p90",
 ];
 
-/// The rows as a plain-text table with aligned columns, for a terminal; `-` for missing figures.
+/// The rows as a plain-text table with aligned columns, for a terminal; `-` for missing figures. The statuses of unanswered cases follow.
 pub fn text_table(rows: &[GroupSummary]) -> String {
     let mut lines = vec![HEADINGS.map(str::to_owned)];
     lines.extend(rows.iter().map(cells));
@@ -109,6 +116,10 @@ pub fn text_table(rows: &[GroupSummary]) -> String {
         });
         text.push_str(padded.collect::<Vec<_>>().join("  ").trim_end());
         text.push('\n');
+    }
+    for row in rows.iter().filter(|row| !row.unanswered.is_empty()) {
+        let counts: Vec<String> = row.unanswered.iter().map(|(status, count)| format!("{count} {status}")).collect();
+        text.push_str(&format!("{}: not answered: {}\n", row.name, counts.join(", ")));
     }
     for row in rows {
         if let (Some(px), Some(percent)) = (row.map_median_px, row.map_within_1px_percent) {
@@ -148,11 +159,11 @@ mod tests {
         let z_ratio = z_percent / 100.0;
         let normal_rad = normal_deg.to_radians();
         let error = PlaneError { z_m: 0.5 * z_ratio, z_ratio, normal_rad, disparity_px: Some(-10.0 * z_ratio) };
-        EvaluatedCase { group, error: Some(error), disparity: None, cpu_millis }
+        EvaluatedCase { group, status: "ok", error: Some(error), disparity: None, cpu_millis }
     }
 
     fn lost(group: Group, cpu_millis: f64) -> EvaluatedCase {
-        EvaluatedCase { group, error: None, disparity: None, cpu_millis }
+        EvaluatedCase { group, status: "ambiguous", error: None, disparity: None, cpu_millis }
     }
 
     #[test]
@@ -168,6 +179,7 @@ mod tests {
         assert_eq!(rows.iter().map(|r| r.name).collect::<Vec<_>>(), ["textured", "small"]);
         let row = &rows[0];
         assert_eq!((row.cases, row.answered), (4, 3));
+        assert_eq!(row.unanswered, BTreeMap::from([("ambiguous", 1)]));
         let close = |a: Option<f64>, b: f64| assert!((a.unwrap() - b).abs() < 1e-9, "{a:?} is not {b}");
         close(row.z_median_percent, 0.7);
         // numpy.percentile([0.5, 0.7, 1.5], 90) = 1.34
@@ -193,9 +205,10 @@ mod tests {
             [case(Group::Textured, 0.5, 1.0, 2.0), case(Group::Boards, 0.25, 1.0, 2.0), lost(Group::Small, 1.0)];
         let text = text_table(&summarize(&cases));
         let lines: Vec<_> = text.lines().collect();
-        assert_eq!(lines.len(), 5, "{text}");
+        assert_eq!(lines.len(), 6, "{text}");
+        assert_eq!(lines[5], "small: not answered: 1 ambiguous");
         let end_of_cases = lines[0].find("cases").unwrap() + 5;
-        assert!(lines[1..].iter().all(|line| line.as_bytes()[end_of_cases - 1].is_ascii_digit()), "{text}");
+        assert!(lines[1..5].iter().all(|line| line.as_bytes()[end_of_cases - 1].is_ascii_digit()), "{text}");
         assert!(lines[2].starts_with("small") && lines[2].contains(" - "), "{text}");
         assert!(lines[4].starts_with("textured+boards      2         2     0.38"), "{text}");
     }

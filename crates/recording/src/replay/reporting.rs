@@ -36,6 +36,7 @@ impl<'a> Reporting<'a> {
         let mut noting = EstimateRecorder::new(setup, marking(&run.marking)?, (strip, begin), None)?;
         noting.begin_at(begin);
         let journal = Journal::new(setup, (begin, experiment.duration_s()), (log, plan)).quiet();
+        let journal = journal.without_console(!run.is_person && !run.can_fall_silent);
         Ok(Self { journal, noting })
     }
 

@@ -161,58 +161,100 @@ impl Why {
         }
     }
 
-    fn write_sentence(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+    /// The same line for a run to which nobody can give commands.
+    pub fn without_console(&self) -> impl fmt::Display {
+        WithoutConsole(*self)
+    }
+
+    fn write_line(&self, f: &mut fmt::Formatter<'_>, has_console: bool) -> fmt::Result {
+        self.write_sentence(f, has_console)?;
+        self.code().map_or(Ok(()), |known| write!(f, " [{}]", known.code))
+    }
+
+    fn write_sentence(&self, f: &mut fmt::Formatter<'_>, has_console: bool) -> fmt::Result {
+        let begin = |word, otherwise| Action { word, otherwise, has_console };
+        let again = |word| Action { word, otherwise: "start a new run", has_console };
         match self {
-            Self::Idle => write!(f, "idle: no target selected; use select"),
-            Self::Ready => write!(f, "selecting: target seen, no active inhibit; use start"),
-            Self::Waiting { cause } => write!(f, "selecting: {cause}; {}, then use start", remedy(cause)),
+            Self::Idle => write!(f, "idle: no target selected; {}", begin("select", "the program selects it")),
+            Self::Ready => write!(f, "selecting: target seen, no active inhibit; {}", begin("start", STARTS)),
+            Self::Waiting { cause } => {
+                write!(f, "selecting: {cause}; {}, then {}", remedy(cause), begin("start", STARTS))
+            }
             Self::Settling { state, cause, for_s } => {
                 let word = if *state == State::Selecting { "start" } else { "resume" };
                 write!(f, "{state}: {}; ready to {word} in {for_s:.1} s", Gone(cause))
             }
             Self::Moving { state } => write!(f, "{state}"),
             Self::Searching => {
-                write!(f, "lost: the hand searches for the target near its last position; use hold to end the search")
+                write!(f, "lost: the hand searches for the target near its last position")?;
+                if has_console { write!(f, "; use hold to end the search") } else { Ok(()) }
             }
             Self::Slowed { state, cause, share } => {
                 write!(f, "{state}: slowed to {:.0} %: {cause}; {}", share * 100.0, remedy(cause))
             }
             Self::Resting { state, cause, then: Then::Resume } => {
-                write!(f, "{state}: {cause}; {}, then use resume", remedy(cause))
+                write!(f, "{state}: {cause}; {}, then {}", remedy(cause), again("resume"))
             }
             Self::Resting { state, cause, then: Then::ByItself { after_s } } => {
                 write!(f, "{state}: {cause}; {}; resumes by itself {}", remedy(cause), After(*after_s))
             }
             Self::CauseGone { state, cause, then: Then::Resume } => {
-                write!(f, "{state}: {}; use resume", Gone(&Some(*cause)))
+                write!(f, "{state}: {}; {}", Gone(&Some(*cause)), again("resume"))
             }
             Self::CauseGone { state, cause, then: Then::ByItself { after_s } } => {
                 write!(f, "{state}: {}; resumes by itself in {after_s} s", Gone(&Some(*cause)))
             }
             Self::HeldByOperator { state, every_arm, cause: None } => {
-                write!(f, "{state}: {} by the operator; use resume", Held(*every_arm))
+                write!(f, "{state}: {} by the operator; {}", Held(*every_arm), again("resume"))
             }
             Self::HeldByOperator { state, every_arm, cause: Some(cause) } => {
-                let held = Held(*every_arm);
-                write!(f, "{state}: {held} by the operator; also {cause}; {}, then use resume", remedy(cause))
+                let (held, remedy) = (Held(*every_arm), remedy(cause));
+                write!(f, "{state}: {held} by the operator; also {cause}; {remedy}, then {}", again("resume"))
             }
             Self::StoppedByOperator => {
-                write!(f, "stopped: by the operator; use reset, then select, which enables the arms, then start")
+                let enables = if has_console { ", then select, which enables the arms, then start" } else { "" };
+                write!(f, "stopped: by the operator; {}{enables}", again("reset"))
             }
             Self::Latched { state, cause, is_gone: false } => {
-                write!(f, "{state}: {cause}; {}, then use reset", remedy(cause))
+                write!(f, "{state}: {cause}; {}, then {}", remedy(cause), again("reset"))
             }
             Self::Latched { state, cause, is_gone: true } => {
-                write!(f, "{state}: cleared: {cause}; use reset")
+                write!(f, "{state}: cleared: {cause}; {}", again("reset"))
             }
         }
     }
 }
 
+/// Where the program gives the command `start`.
+const STARTS: &str = "the program starts the motion";
+
+/// What can be done next: a command of the operator, or something else if nobody can give one.
+struct Action {
+    word: &'static str,
+    otherwise: &'static str,
+    has_console: bool,
+}
+
+impl fmt::Display for Action {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.has_console {
+            true => write!(f, "use {}", self.word),
+            false => f.write_str(self.otherwise),
+        }
+    }
+}
+
+struct WithoutConsole(Why);
+
+impl fmt::Display for WithoutConsole {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.write_line(f, false)
+    }
+}
+
 impl fmt::Display for Why {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.write_sentence(f)?;
-        self.code().map_or(Ok(()), |known| write!(f, " [{}]", known.code))
+        self.write_line(f, true)
     }
 }
 

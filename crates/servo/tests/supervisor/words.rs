@@ -75,6 +75,13 @@ fn every_state_and_every_condition_has_a_line_of_its_own() {
         assert!(line.contains(to_do), "the remedy ({to_do}) is not in {line:?}");
         assert!(!line.contains('\n') && line.len() < 300 && !line.contains("  "), "{line:?}");
         assert!(lines.insert(line.clone()), "duplicate: {line:?}");
+        let alone = why.without_console().to_string();
+        assert!(!alone.contains("; use ") && !alone.contains(", then use "), "nobody can do that: {alone:?}");
+        assert_eq!(
+            alone.contains("start a new run"),
+            why.waits_for_resume() || to_do.contains("use reset"),
+            "{alone:?}"
+        );
     };
     add(Why::Idle, &["idle: ".into()], "use select");
     add(Why::Ready, &["selecting: ".into()], "use start");

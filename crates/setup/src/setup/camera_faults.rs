@@ -7,28 +7,99 @@ use serde::Deserialize;
 use super::super::load::{Checker, whole};
 use pb3dp_sim::camera_faults::{AffectedCameras, CameraFault, CameraFaultKind, CameraFaults, PAIRS_LATE};
 
-/// One fault; each kind has its own keys, and all have a time span.
+/// One fault: each kind has its own keys, and all have a time span.
 #[derive(Clone, Debug, Deserialize)]
-#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
-pub(super) enum FaultSection {
-    Dropped { from_s: f64, until_s: f64, share: f64 },
-    Repeated { from_s: f64, until_s: f64, share: f64, as_new: bool },
-    Late { from_s: f64, until_s: f64, pairs: i64 },
-    Torn { from_s: f64, until_s: f64, share: f64 },
-    Skewed { from_s: f64, until_s: f64, stamped_millis: f64 },
-    Frozen { from_s: f64, until_s: f64 },
-    Black { from_s: f64, until_s: f64, cameras: AffectedCamerasName },
-    Saturated { from_s: f64, until_s: f64, cameras: AffectedCamerasName },
-    Brightness { from_s: f64, until_s: f64, cameras: AffectedCamerasName, factor: f64 },
-    Occluder { from_s: f64, until_s: f64, width_share: f64, crosses: bool },
-    Miscalibrated { from_s: f64, until_s: f64, columns_px: f64, rows_px: f64, roll_deg: f64, scale: f64 },
+#[serde(deny_unknown_fields)]
+pub(super) struct FaultSection {
+    kind: FaultName,
+    from_s: Option<f64>,
+    until_s: Option<f64>,
+    share: Option<f64>,
+    as_new: Option<bool>,
+    pairs: Option<i64>,
+    stamped_millis: Option<f64>,
+    cameras: Option<AffectedCamerasName>,
+    factor: Option<f64>,
+    width_share: Option<f64>,
+    crosses: Option<bool>,
+    columns_px: Option<f64>,
+    rows_px: Option<f64>,
+    roll_deg: Option<f64>,
+    scale: Option<f64>,
 }
 
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub(super) enum AffectedCamerasName {
+enum FaultName {
+    Dropped,
+    Repeated,
+    Late,
+    Torn,
+    Skewed,
+    Frozen,
+    Black,
+    Saturated,
+    Brightness,
+    Occluder,
+    Miscalibrated,
+}
+
+impl FaultName {
+    const ALL: [Self; 11] = [
+        Self::Dropped,
+        Self::Repeated,
+        Self::Late,
+        Self::Torn,
+        Self::Skewed,
+        Self::Frozen,
+        Self::Black,
+        Self::Saturated,
+        Self::Brightness,
+        Self::Occluder,
+        Self::Miscalibrated,
+    ];
+
+    /// Its name in setups, and its own keys.
+    fn keys(self) -> (&'static str, &'static [&'static str]) {
+        match self {
+            Self::Dropped => ("dropped", &["share"]),
+            Self::Repeated => ("repeated", &["share", "as_new"]),
+            Self::Late => ("late", &["pairs"]),
+            Self::Torn => ("torn", &["share"]),
+            Self::Skewed => ("skewed", &["stamped_millis"]),
+            Self::Frozen => ("frozen", &[]),
+            Self::Black => ("black", &["cameras"]),
+            Self::Saturated => ("saturated", &["cameras"]),
+            Self::Brightness => ("brightness", &["cameras", "factor"]),
+            Self::Occluder => ("occluder", &["width_share", "crosses"]),
+            Self::Miscalibrated => ("miscalibrated", &["columns_px", "rows_px", "roll_deg", "scale"]),
+        }
+    }
+}
+
+/// Keys of every fault.
+const SPAN: [&str; 2] = ["from_s", "until_s"];
+
+/// All kinds of faults with their keys, for `pb3dp config explain`.
+pub fn help() -> String {
+    let kinds = FaultName::ALL.map(|kind| match kind.keys() {
+        (name, []) => name.to_owned(),
+        (name, keys) => format!("{name} ({})", keys.join(", ")),
+    });
+    format!(
+        "faults of the simulated cameras: a list of tables, each with {}, `kind` and the keys of its kind: {} \
+         (docs/supervisor.md has an example)",
+        SPAN.join(", "),
+        kinds.join(", ")
+    )
+}
+
+#[derive(Clone, Copy, Debug, Default, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum AffectedCamerasName {
     Left,
     Right,
+    #[default]
     Both,
 }
 
@@ -55,39 +126,76 @@ pub(super) fn build(sections: &[FaultSection], check: &mut Checker) -> CameraFau
 impl FaultSection {
     fn build(&self, index: usize, check: &mut Checker) -> CameraFault {
         use CameraFaultKind as Kind;
-        let (kind, from_s, until_s) = match *self {
-            Self::Dropped { from_s, until_s, share } => (Kind::Dropped { share }, from_s, until_s),
-            Self::Repeated { from_s, until_s, share, as_new } => (Kind::Repeated { share, as_new }, from_s, until_s),
-            Self::Late { from_s, until_s, pairs } => {
-                check.count(&format!("camera.faults[{index}].pairs"), pairs, PAIRS_LATE);
-                (Kind::Late { pairs: whole(pairs) }, from_s, until_s)
+        let key = |name: &str| format!("camera.faults[{index}].{name}");
+        self.check_keys(index, check);
+        let number = |value: Option<f64>| value.unwrap_or_default();
+        let (share, cameras) = (number(self.share), AffectedCameras::from(self.cameras.unwrap_or_default()));
+        let kind = match self.kind {
+            FaultName::Dropped => Kind::Dropped { share },
+            FaultName::Repeated => Kind::Repeated { share, as_new: self.as_new.unwrap_or_default() },
+            FaultName::Late => {
+                let pairs = self.pairs.unwrap_or(1);
+                check.count(&key("pairs"), pairs, PAIRS_LATE);
+                Kind::Late { pairs: whole(pairs) }
             }
-            Self::Torn { from_s, until_s, share } => (Kind::Torn { share }, from_s, until_s),
-            Self::Skewed { from_s, until_s, stamped_millis } => {
-                check.number(&format!("camera.faults[{index}].stamped_millis"), stamped_millis, -1000.0..=1000.0);
-                (Kind::Skewed { stamped_nanos: (stamped_millis * 1e6) as i64 }, from_s, until_s)
+            FaultName::Torn => Kind::Torn { share },
+            FaultName::Skewed => {
+                let stamped_millis = number(self.stamped_millis);
+                check.number(&key("stamped_millis"), stamped_millis, -1000.0..=1000.0);
+                Kind::Skewed { stamped_nanos: (stamped_millis * 1e6) as i64 }
             }
-            Self::Frozen { from_s, until_s } => (Kind::Frozen, from_s, until_s),
-            Self::Black { from_s, until_s, cameras } => (Kind::Black { cameras: cameras.into() }, from_s, until_s),
-            Self::Saturated { from_s, until_s, cameras } => {
-                (Kind::Saturated { cameras: cameras.into() }, from_s, until_s)
+            FaultName::Frozen => Kind::Frozen,
+            FaultName::Black => Kind::Black { cameras },
+            FaultName::Saturated => Kind::Saturated { cameras },
+            FaultName::Brightness => Kind::Brightness { cameras, factor: number(self.factor) },
+            FaultName::Occluder => {
+                Kind::Occluder { width_share: number(self.width_share), crosses: self.crosses.unwrap_or_default() }
             }
-            Self::Brightness { from_s, until_s, cameras, factor } => {
-                (Kind::Brightness { cameras: cameras.into(), factor }, from_s, until_s)
-            }
-            Self::Occluder { from_s, until_s, width_share, crosses } => {
-                (Kind::Occluder { width_share, crosses }, from_s, until_s)
-            }
-            Self::Miscalibrated { from_s, until_s, columns_px, rows_px, roll_deg, scale } => {
-                let roll_rad = roll_deg.to_radians();
-                (Kind::Miscalibrated { columns_px, rows_px, roll_rad, scale }, from_s, until_s)
-            }
+            FaultName::Miscalibrated => Kind::Miscalibrated {
+                columns_px: number(self.columns_px),
+                rows_px: number(self.rows_px),
+                roll_rad: number(self.roll_deg).to_radians(),
+                scale: number(self.scale),
+            },
         };
-        for (key, value) in [("from_s", from_s), ("until_s", until_s)] {
-            check.number(&format!("camera.faults[{index}].{key}"), value, 0.0..=86_400.0);
+        for (key, value) in SPAN.into_iter().zip([self.from_s, self.until_s]) {
+            check.number(&format!("camera.faults[{index}].{key}"), number(value), 0.0..=86_400.0);
         }
-        let time = |seconds: f64| Duration::try_from_secs_f64(seconds).unwrap_or_default();
-        CameraFault { kind, from: time(from_s), until: time(until_s) }
+        let time = |seconds: Option<f64>| Duration::try_from_secs_f64(number(seconds)).unwrap_or_default();
+        CameraFault { kind, from: time(self.from_s), until: time(self.until_s) }
+    }
+
+    /// Refuses missing keys and those of other kinds, all at once.
+    fn check_keys(&self, index: usize, check: &mut Checker) {
+        let (name, own) = self.kind.keys();
+        let of_kind = |key: &str| SPAN.contains(&key) || own.contains(&key);
+        let stated = [
+            ("from_s", self.from_s.is_some()),
+            ("until_s", self.until_s.is_some()),
+            ("share", self.share.is_some()),
+            ("as_new", self.as_new.is_some()),
+            ("pairs", self.pairs.is_some()),
+            ("stamped_millis", self.stamped_millis.is_some()),
+            ("cameras", self.cameras.is_some()),
+            ("factor", self.factor.is_some()),
+            ("width_share", self.width_share.is_some()),
+            ("crosses", self.crosses.is_some()),
+            ("columns_px", self.columns_px.is_some()),
+            ("rows_px", self.rows_px.is_some()),
+            ("roll_deg", self.roll_deg.is_some()),
+            ("scale", self.scale.is_some()),
+        ];
+        let those = |is_wrong: &dyn Fn(&str, bool) -> bool| {
+            stated.iter().filter(|(key, is_stated)| is_wrong(key, *is_stated)).map(|(key, _)| *key).collect::<Vec<_>>()
+        };
+        let missing = those(&|key, is_stated| of_kind(key) && !is_stated);
+        if !missing.is_empty() {
+            check.refuse(format!("camera.faults[{index}]: a fault of kind {name} also needs {}", missing.join(", ")));
+        }
+        let foreign = those(&|key, is_stated| !of_kind(key) && is_stated);
+        if !foreign.is_empty() {
+            check.refuse(format!("camera.faults[{index}]: a fault of kind {name} has no {}", foreign.join(", ")));
+        }
     }
 }
 
@@ -128,17 +236,37 @@ mod tests {
     }
 
     #[test]
+    fn every_kind_is_read_with_the_keys_that_its_help_names() {
+        for kind in FaultName::ALL {
+            let (name, keys) = kind.keys();
+            let value = |key: &str| match key {
+                "cameras" => "\"left\"",
+                "as_new" | "crosses" => "true",
+                _ => "1",
+            };
+            let keys: String = keys.iter().map(|key| format!("{key} = {}\n", value(key))).collect();
+            let text = format!("[[camera.faults]]\nkind = \"{name}\"\nfrom_s = 1\nuntil_s = 2\n{keys}");
+            assert_eq!(read(&text).unwrap().list[0].kind.name(), name);
+            assert!(help().contains(name));
+        }
+    }
+
+    #[test]
     fn faults_that_can_not_be_are_refused_by_name() {
         for (faults, told) in [
             ("kind = \"dropped\"\nshare = 1.5", "camera fault dropped: share is 1.5"),
             ("kind = \"late\"\npairs = 0", "camera.faults[0].pairs = 0"),
-            ("kind = \"torn\"", "share"),
-            ("kind = \"frozen\"\nshare = 0.5", "share"),
+            ("kind = \"torn\"", "camera.faults[0]: a fault of kind torn also needs share"),
+            ("kind = \"frozen\"\nshare = 0.5", "camera.faults[0]: a fault of kind frozen has no share"),
+            ("kind = \"occluder\"\nscale = 1", "also needs width_share, crosses"),
+            ("kind = \"black\"\ncameras = 3", "camera.faults.0.cameras"),
             ("kind = \"upside-down\"", "upside-down"),
         ] {
             let refused = read(&format!("[[camera.faults]]\nfrom_s = 1.0\nuntil_s = 2.0\n{faults}")).unwrap_err();
             assert!(refused.contains(told), "{refused}");
         }
+        let refused = read("[[camera.faults]]\nkind = \"miscalibrated\"").unwrap_err();
+        assert!(refused.contains("also needs from_s, until_s, columns_px, rows_px, roll_deg, scale"), "{refused}");
         let refused = read("[[camera.faults]]\nkind = \"frozen\"\nfrom_s = 2.0\nuntil_s = 1.0").unwrap_err();
         assert!(refused.contains("set a later end"), "{refused}");
     }

@@ -3,7 +3,7 @@
 mod arms;
 mod calibration;
 mod camera;
-mod camera_faults;
+pub(crate) mod camera_faults;
 mod commissioning;
 mod drift;
 mod experiment;

@@ -55,10 +55,10 @@ impl Job {
     ///
     /// # Errors
     /// A missing or damaged file, or inconsistent values; by name.
-    pub fn from_case(folder: &Path, method: &MethodArgs) -> Result<Self> {
+    pub fn from_case(folder: &Path, args: &EstimateArgs) -> Result<Self> {
         let case = load_case(folder)?;
         let images = case.load_images()?;
-        let calibration = case.load_calibration_for(size_of(&images.left))?;
+        let calibration = case.load_calibration_for(size_of(&images.left), &args.recording.calibration.stated())?;
         check_sizes(&calibration.rig, &images.left, &case.left, &calibration.source)?;
         let calibration = decide_lens(calibration, &images.left, &images.right)?;
         let vertices_px = case.region_polygon_left_px.iter().map(|&[u, v]| Vector2::new(u, v)).collect();
@@ -73,7 +73,7 @@ impl Job {
             calibration_warnings: calibration.warnings,
             region: Region::Polygon { vertices_px },
             centroid_px: case.region_centroid_px,
-            range: overridden(range_of_dataset(&case.search), method),
+            range: overridden(range_of_dataset(&case.search), &args.method),
             case: Some(case),
         })
     }

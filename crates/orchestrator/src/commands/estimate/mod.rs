@@ -140,12 +140,13 @@ impl Source {
     fn refused(&self) -> Option<EvaluatedCase> {
         let Self::Case(folder) = self else { return None };
         let case = load_case(folder).ok().filter(|case| case.truth.is_some())?;
-        Some(EvaluatedCase { group: Group::of(&case), error: None, disparity: None, cpu_millis: f64::NAN })
+        let (group, status) = (Group::of(&case), Status::Error.as_str());
+        Some(EvaluatedCase { group, status, error: None, disparity: None, cpu_millis: f64::NAN })
     }
 
     fn load(&self, args: &EstimateArgs) -> Result<Job> {
         match self {
-            Self::Case(folder) => Job::from_case(folder, &args.method),
+            Self::Case(folder) => Job::from_case(folder, args),
             Self::Files(_) => Job::from_files(args),
             Self::Recording(path, _) => Job::from_recording(path, args),
         }
@@ -287,12 +288,13 @@ fn tell(name: &str, estimate: &PlaneEstimate) {
     }
 }
 
-/// The errors of a case with truth.
+/// The errors of a case with truth, if a servo may use the answer.
 fn evaluate(job: &Job, estimate: &PlaneEstimate, z_m: Option<f64>, millis: f64) -> Result<Option<EvaluatedCase>> {
     let Some((case, truth)) = job.case.as_ref().and_then(|case| Some((case, case.truth.as_ref()?))) else {
         return Ok(None);
     };
     let plane = z_m
+        .filter(|_| estimate.status.depth_is_sure())
         .zip(estimate.normal_in_cam_left())
         .map(|(z_m, normal_in_cam_left)| metrics::PlaneEstimate { z_m, normal_in_cam_left });
     let disparity = match (&plane, case.planar, case.load_disparity_truth()?) {
@@ -303,7 +305,8 @@ fn evaluate(job: &Job, estimate: &PlaneEstimate, z_m: Option<f64>, millis: f64) 
         _ => None,
     };
     let error = plane.map(|plane| compare_plane(&plane, truth));
-    Ok(Some(EvaluatedCase { group: Group::of(case), error, disparity, cpu_millis: millis }))
+    let (group, status) = (Group::of(case), estimate.status.as_str());
+    Ok(Some(EvaluatedCase { group, status, error, disparity, cpu_millis: millis }))
 }
 
 /// The table of errors by group, on standard error.

@@ -13,6 +13,7 @@ use anyhow::{Context, Result, bail};
 use pb3dp_cell::calibration_share::{TrackShares, term_or_warning};
 use pb3dp_cell::result_lines::TrackLine;
 use pb3dp_cell::result_lines::millimetres::covariance_mm;
+use pb3dp_cell::search_range::range_of_dataset;
 use pb3dp_cell::terminal::print_line;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_estimation_core::status::Status;
@@ -25,6 +26,7 @@ use pb3dp_wiring::{Recording, ReplayPace};
 use self::csv::EstimateFiles;
 use self::overlays::Overlays;
 use self::walk::{Outcome, TargetResult, Walk};
+use super::estimate::job::{default_range, overridden};
 use crate::arguments::{TrackArgs, UNSURE};
 use crate::commands::output_file::check_cloud;
 use crate::progress::Progress;
@@ -59,7 +61,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     let mut csv = EstimateFiles::open(args.csv.as_deref(), walk.targets().len())?;
     let mut overlays = Overlays::open(&args.method)?;
     let mut pair = FramePair::black(rig.left().size());
-    let (mut unread, mut unsure) = (0_usize, 0_usize);
+    let (mut unread, mut unsure, first_s) = (0_usize, 0_usize, recording.times_s.first().copied().unwrap_or_default());
     if !args.method.json {
         print_line(&TrackLine::heading(walk.targets().len() > 1))?;
     }
@@ -90,7 +92,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         };
         for line in &lines {
             unsure += usize::from(line.status != Status::Ok.as_str());
-            progress.print_line(&if args.method.json { serde_json::to_string(line)? } else { line.human() })?;
+            progress.print_line(&if args.method.json { serde_json::to_string(line)? } else { line.human(first_s) })?;
         }
         progress.advance();
     }
@@ -114,11 +116,18 @@ fn opened(args: &TrackArgs, pace: ReplayPace) -> Result<Recording> {
 
 /// All targets of a recording, with the skew that its first pairs show if it states none.
 fn new_walk(recording: &Recording, args: &TrackArgs) -> Result<Walk> {
-    let (method, rig) = (args.method.method, recording.camera.rig());
-    let mut walk = Walk::new(method, rig, recording, args)?;
-    if !recording.states_skew && method == Method::Direct {
+    let rig = recording.camera.rig();
+    let mut notes = Vec::new();
+    let given = match &recording.search {
+        Some(search) => range_of_dataset(search),
+        None => default_range(rig, args.method.z_range.is_none(), &mut notes),
+    };
+    notes.iter().for_each(|note| tracing::info!("{note}"));
+    let range = overridden(given, &args.method);
+    let mut walk = Walk::new(rig, recording, args, range)?;
+    if !recording.states_skew && args.method.method == Method::Direct {
         let again = opened(args, ReplayPace::Fast)?;
-        let told = skew::of(again, Walk::new(method, rig, recording, args)?)?;
+        let told = skew::of(again, Walk::new(rig, recording, args, range)?)?;
         walk.use_skew(told.skew.map(|skew| skew.skew_s), told.warning());
     }
     Ok(walk)

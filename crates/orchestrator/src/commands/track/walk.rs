@@ -4,8 +4,7 @@ use anyhow::{Context, Result, bail};
 use image::RgbImage;
 use nalgebra::Vector2;
 use pb3dp_cell::follower::Follower;
-use pb3dp_cell::search_range::range_of_dataset;
-use pb3dp_estimation::estimator::{FramePrior, Method, Tracker};
+use pb3dp_estimation::estimator::{FramePrior, Tracker};
 use pb3dp_estimation::pair_check::check_pair;
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
@@ -21,7 +20,6 @@ use pb3dp_setup::region_spec::{RegionSpec, load_region};
 use pb3dp_wiring::Recording;
 use pb3dp_wiring::message_codes::in_words;
 
-use super::super::estimate::job::{default_range, overridden};
 use crate::arguments::TrackArgs;
 use crate::commands::pair::usable;
 
@@ -187,15 +185,9 @@ impl Walk {
     ///
     /// # Errors
     /// A refused configuration, or a method that does not track.
-    pub fn new(method: Method, rig: &StereoRig, recording: &Recording, args: &TrackArgs) -> Result<Self> {
+    pub fn new(rig: &StereoRig, recording: &Recording, args: &TrackArgs, range: SearchRange) -> Result<Self> {
+        let method = args.method.method;
         let config = estimator_config(args.method.config.as_deref(), args.method.seed)?;
-        let mut notes = Vec::new();
-        let given = match &recording.search {
-            Some(search) => range_of_dataset(search),
-            None => default_range(rig, args.method.z_range.is_none(), &mut notes),
-        };
-        notes.iter().for_each(|note| tracing::info!("{note}"));
-        let range = overridden(given, &args.method);
         let own = recording.region_polygon_left_px.as_ref().map(|corners| {
             let vertices_px = corners.iter().map(|&[u, v]| Vector2::new(u, v)).collect();
             Mark::Polygon(Region::Polygon { vertices_px })
