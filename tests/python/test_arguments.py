@@ -204,6 +204,10 @@ def test_calibrations_that_leave_values_unstated(tmp_path):
     refused(lambda: pb3dp.StereoRig.load(other, **size), "12.9 mm", "128.6 mm", 'calibration_unit="mm"')
     refused(lambda: load(**size, calibration_unit="inch"), "calibration_unit", "inch", "use mm, cm or m")
     refused(lambda: load(**size, calibration_unit="mm"), 'lens="brown" or lens="equidistant"')
+    grey = np.full((480, 640), 90, np.uint8)
+    refused(lambda: load(images=(grey, grey)), "the images do not decide", 'lens="brown" or lens="equidistant"')
+    doubts = load(lens="brown", images=(grey, grey)).warnings
+    assert len(doubts) == 2 and "calibrated_size" in doubts[0] and "calibration_unit" in doubts[1], doubts
     refused(lambda: load(image_size=(320, 240), calibration_unit="mm", lens="brown"), "calibrated_size 640x480")
     rig = load(image_size=(320, 240), calibrated_size=(640, 480), calibration_unit="mm", lens="equidistant")
     assert rig.image_size == (320, 240) and rig.left_distortion[0] == "equidistant"

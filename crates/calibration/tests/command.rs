@@ -105,6 +105,39 @@ fn colour_images_of_another_board_give_the_committed_corners() {
 }
 
 #[test]
+fn the_views_decide_what_a_verified_calibration_leaves_unstated() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("calib.opencv.yaml");
+    let name = file.display().to_string();
+    assert!(text(&stereo(&["--lens", "brown-4", "--out", &name])).contains("wrote"));
+    let whole = fs::read_to_string(&file).expect("written");
+    let states = |line: &&str| !["image_", "units", "distortion_model"].iter().any(|key| line.starts_with(key));
+    // The fifth coefficient is zero.
+    let bare: String =
+        whole.lines().filter(states).map(|line| format!("{}\n", line.replace("cols: 5", "cols: 4"))).collect();
+    fs::write(&file, bare.replace(", 0.0]\nM2", "]\nM2").replace(", 0.0]\nR", "]\nR")).expect("written");
+    let images = chessboards();
+    let args = ["verify", &name, "--left", &images, "--right", &images, "--board", "9x6", "--square", "25"];
+    let told = text(&calibrate(&args));
+    for part in [
+        "that of the images, 640x480, is used",
+        "no lens model: Brown-Conrady (k1 k2 p1 p2) is used, because the repro",
+    ] {
+        assert!(told.contains(part), "{told}");
+    }
+    let stated = text(&calibrate(&[&args[..], &["--calib-lens", "equidistant"]].concat()));
+    assert!(stated.contains("refused  reprojection_rms_px = 3.") && !stated.contains("no lens model"), "{stated}");
+    let half = text(&calibrate(&[&args[..], &["--calib-size", "320x240", "--calib-lens", "brown"]].concat()));
+    assert!(half.contains("of 320x240 pixels is scaled to the images of 640x480"), "{half}");
+}
+
+#[test]
+fn options_of_a_calibration_that_is_read_are_refused_where_none_is() {
+    let told = text(&stereo(&["--calib-lens", "brown"]));
+    assert!(told.contains("--calib-lens and --rectified have no effect here: no calibration is read"), "{told}");
+}
+
+#[test]
 fn gates_of_a_file_refuse_and_the_program_fails() {
     let folder = tempfile::tempdir().expect("a folder");
     let strict = folder.path().join("gates.toml");

@@ -14,10 +14,12 @@ use pb3dp_calibration::fit::Fit;
 use pb3dp_calibration::gates::Grade;
 use pb3dp_calibration::lens::LensModel;
 use pb3dp_calibration::verify::against::{Known, compare};
+use pb3dp_calibration::verify::lens::decide_lens;
 use pb3dp_calibration::verify::limits::{Check, VerifyLimits};
 use pb3dp_calibration::verify::touch::{Touch, touched};
 use pb3dp_calibration::verify::{check, corner_in_cam_left, depth_sigma_m, length_ratio};
-use pb3dp_geometry::{Pose, StereoRig, so3};
+use pb3dp_geometry::{Camera, Distortion, Pose, StereoRig, so3};
+use pb3dp_record::calibration_files::{CalibrationFormat, StereoCalibration};
 
 use crate::support::{Random, SIZE, Session, board, rig, views};
 
@@ -42,6 +44,42 @@ fn calibrated(truth: &StereoRig, random: &mut Random) -> Known {
 fn touched_head(rig: &StereoRig) -> StereoRig {
     let turn = Pose::from_parts(Vector3::zeros(), so3::exp(&Vector3::new(0.0, 0.1_f64.to_radians(), 0.0)));
     StereoRig::new(*rig.left(), *rig.right(), turn * *rig.cam_right_from_cam_left()).expect("a head")
+}
+
+#[test]
+fn views_of_a_board_decide_an_unstated_lens_model() {
+    let mut random = Random::new(4100);
+    let truth = rig(&mut random);
+    let views = views(&truth, &GOOD, &mut random);
+    let of_fisheye = |camera: &Camera| {
+        let Distortion::BrownConrady5 { coefficients: [k1, k2, p1, p2, _] } = *camera.distortion() else { panic!() };
+        let distortion = Distortion::Equidistant { coefficients: [k1, k2, p1, p2] };
+        Camera::new(camera.size(), *camera.pinhole(), distortion).expect("a camera")
+    };
+    let (left, right) = (of_fisheye(truth.left()), of_fisheye(truth.right()));
+    let other = StereoRig::new(left, right, *truth.cam_right_from_cam_left()).expect("a head");
+    let decided = |rig: StereoRig, other_lens: StereoRig| {
+        let open = StereoCalibration {
+            rig,
+            other_lens: Some(other_lens),
+            format: CalibrationFormat::OpenCv,
+            source: "stereo.yml".to_owned(),
+            notes: Vec::new(),
+            warnings: Vec::new(),
+            not_measured: None,
+            judgement: None,
+        };
+        decide_lens(open, &views, &board())
+    };
+    for (found, lens) in [(decided(truth, other), "Brown-Conrady"), (decided(other, truth), "equidistant")] {
+        let found = found.expect("clear");
+        assert_eq!((found.rig, found.other_lens), (truth, None));
+        assert!(found.warnings[0].contains(&format!("no lens model: {lens}")), "{:?}", found.warnings);
+    }
+    let neither = decided(touched_head(&truth), touched_head(&other)).expect_err("neither").to_string();
+    for part in ["the views of the board do not decide (reprojection errors of", "--calib-lens brown or --calib-lens"] {
+        assert!(neither.contains(part), "{neither}");
+    }
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Which reading of a calibration its images agree with, where the file leaves the lens model unstated.
 
-use image::RgbImage;
 use pb3dp_estimation::rig_watch::RigWatch;
+use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_geometry::StereoRig;
 use pb3dp_record::calibration_files::{CalibrationFileError, LensModel, StereoCalibration};
 
@@ -23,7 +23,7 @@ struct Rows {
 }
 
 impl Rows {
-    fn of(rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> Option<Self> {
+    fn of(rig: &StereoRig, left: ImageView<'_>, right: ImageView<'_>) -> Option<Self> {
         let mut watch = RigWatch::new(rig).ok()?;
         let measured = watch.look(left, right).ok()?;
         Some(Self { matches: measured.matches, spread_px: measured.spread_px, objection: watch.objection() })
@@ -50,12 +50,13 @@ impl Rows {
 ///
 /// # Errors
 /// The images do not decide; the message names the option that does.
-pub fn decide_lens(
+pub fn decide_lens<'a>(
     calibration: StereoCalibration,
-    left: &RgbImage,
-    right: &RgbImage,
+    left: impl Into<ImageView<'a>>,
+    right: impl Into<ImageView<'a>>,
 ) -> Result<StereoCalibration, CalibrationFileError> {
     let Some(other) = &calibration.other_lens else { return Ok(calibration) };
+    let (left, right) = (left.into(), right.into());
     let (brown, equidistant) = (Rows::of(&calibration.rig, left, right), Rows::of(other, left, right));
     let (Some(brown), Some(equidistant)) = (brown, equidistant) else {
         return Err(calibration.undecided_lens("the images cannot be compared with both"));
@@ -83,7 +84,7 @@ pub fn decide_lens(
 
 #[cfg(test)]
 mod tests {
-    use image::Rgb;
+    use image::{Rgb, RgbImage};
     use nalgebra::{Point3, Vector2};
     use pb3dp_geometry::{Camera, Distortion, Pinhole};
     use pb3dp_record::dataset::load_case;

@@ -28,16 +28,17 @@ pub struct Estimate {
     covariance: Option<Matrix6<f64>>,
     calibration_covariance: Option<Matrix6<f64>>,
     cpu_millis: f64,
-    pair_warning: Option<String>,
+    input_warnings: Vec<String>,
 }
 
 impl Estimate {
-    /// An estimate, with its depth on the ray of a pixel; the share of the calibration in its covariance, and a warning about the pair.
+    /// An estimate, with its depth on the ray of a pixel; the share of the calibration in its covariance, and warnings about pair and
+    /// calibration.
     pub fn new(
         method: Method,
         (estimate, cpu_millis): (PlaneEstimate, f64),
         (centroid_px, z_m): (Vector2<f64>, Option<f64>),
-        (calibration_covariance, pair_warning): (Option<Matrix6<f64>>, Option<String>),
+        (calibration_covariance, input_warnings): (Option<Matrix6<f64>>, Vec<String>),
     ) -> Self {
         let frame = estimate.model_frame(&centroid_px);
         Self {
@@ -48,13 +49,13 @@ impl Estimate {
             covariance: frame.and_then(|frame| frame.covariance),
             calibration_covariance,
             cpu_millis,
-            pair_warning,
+            input_warnings,
             estimate,
         }
     }
 
     fn warnings_in_words(&self) -> Vec<String> {
-        self.estimate.warnings.iter().map(ToString::to_string).chain(self.pair_warning.clone()).collect()
+        self.estimate.warnings.iter().map(ToString::to_string).chain(self.input_warnings.iter().cloned()).collect()
     }
 }
 

@@ -40,6 +40,8 @@ pub const SWAP: &str = "swap left and right";
 pub struct Estimator {
     rig: Rig,
     term: Option<CalibrationTerm>,
+    /// Assumptions about the calibration.
+    doubts: Vec<String>,
     regions: RegionConfig,
     method: Method,
     range: SearchRange,
@@ -137,6 +139,7 @@ impl Estimator {
             Ok(Self {
                 rig: *rig.rig(),
                 term: rig.term().cloned(),
+                doubts: rig.doubts().to_vec(),
                 regions: settings.config.published.region,
                 method: settings.method,
                 range: settings.range,
@@ -171,7 +174,8 @@ impl Estimator {
             let estimate = estimate?;
             let place = estimate.point_at(centroid_px.map(Vector2::from));
             let share = self.calibration_share(&estimate, &place.0, (region, left))?;
-            Ok(Estimate::new(self.method, (estimate, millis), place, (share, warning)))
+            let warnings = warning.into_iter().chain(self.doubts.iter().cloned()).collect();
+            Ok(Estimate::new(self.method, (estimate, millis), place, (share, warnings)))
         })
     }
 

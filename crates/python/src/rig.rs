@@ -6,6 +6,7 @@ use anyhow::anyhow;
 use nalgebra::Point3;
 use numpy::{PyArray1, PyArray2, PyReadonlyArray2};
 use pb3dp_cell::calibration_share::{not_reported, term_of};
+use pb3dp_cell::lens_reading::decide_lens;
 use pb3dp_estimation::calibration_term::CalibrationTerm;
 use pb3dp_geometry::{Camera, Distortion, ImageSize, StereoRig as Rig};
 use pb3dp_record::calibration_files::{StereoCalibration, load_stated};
@@ -14,6 +15,8 @@ use pyo3::prelude::*;
 
 use crate::arrays;
 use crate::errors::OrRaise;
+use crate::images::{Given, with_views};
+use crate::wording::in_python;
 
 /// A calibrated pair of cameras.
 ///
@@ -29,7 +32,7 @@ pub struct StereoRig {
 impl StereoRig {
     /// A calibration from a recording.
     pub fn new(calibration: StereoCalibration) -> Self {
-        let mut notes = [&calibration.notes[..], &calibration.warnings].concat();
+        let mut notes = calibration.notes.clone();
         let term = term_of(&calibration).unwrap_or_else(|error| {
             notes.push(not_reported(&calibration.source, &error));
             None
@@ -40,6 +43,11 @@ impl StereoRig {
     /// The rig.
     pub fn rig(&self) -> &Rig {
         &self.calibration.rig
+    }
+
+    /// Assumptions of the reader that can be wrong.
+    pub fn doubts(&self) -> &[String] {
+        &self.calibration.warnings
     }
 
     /// Propagates the covariance of the calibration into poses.
@@ -77,8 +85,11 @@ impl StereoRig {
     /// For files that leave something unstated: `image_size` is (width, height) of the images in pixels; `calibration_unit` the unit of length of
     /// an OpenCV file, "mm", "cm" or "m"; `calibrated_size` the (width, height) that the calibration was made with, from which it is scaled to
     /// `image_size`; `lens` the model of four coefficients, "brown" or "equidistant". `rectified=True`: the images are rectified already.
+    /// `images`: a left and a right image of these cameras, as in `Estimator.estimate`; they give `image_size`, and decide the lens model as in
+    /// the program.
     #[staticmethod]
-    #[pyo3(signature = (*paths, image_size=None, calibration_unit=None, calibrated_size=None, lens=None, rectified=false))]
+    #[pyo3(signature = (*paths, image_size=None, calibration_unit=None, calibrated_size=None, lens=None, rectified=false, images=None))]
+    #[allow(clippy::too_many_arguments, reason = "keywords of Python")]
     fn load(
         py: Python<'_>,
         paths: Vec<PathBuf>,
@@ -87,10 +98,22 @@ impl StereoRig {
         calibrated_size: Option<(u32, u32)>,
         lens: Option<&str>,
         rectified: bool,
+        images: Option<[Bound<'_, PyAny>; 2]>,
     ) -> PyResult<Self> {
         let stated = stated(calibration_unit, calibrated_size, lens, rectified).or_raise(py)?.stated();
-        let images = image_size.map(|(width, height)| ImageSize { width, height });
-        let loaded = py.detach(|| load_stated(&paths, images, &stated)?.decided());
+        let size = image_size.map(|(width, height)| ImageSize { width, height });
+        let Some([left, right]) = images else {
+            let loaded = py.detach(|| load_stated(&paths, size, &stated)?.decided());
+            return Ok(Self::new(loaded.or_raise(py)?));
+        };
+        let given = Given::of("left", &left).and_then(|left| Ok([left, Given::of("right", &right)?])).or_raise(py)?;
+        let pixels = given[0].pixels("left").and_then(|left| Ok([left, given[1].pixels("right")?])).or_raise(py)?;
+        let loaded = py.detach(|| {
+            with_views(pixels, &mut None, |left, right| {
+                let size = size.unwrap_or(ImageSize { width: left.width(), height: left.height() });
+                Ok(decide_lens(load_stated(&paths, Some(size), &stated)?, left, right)?)
+            })
+        });
         Ok(Self::new(loaded.or_raise(py)?))
     }
 
@@ -180,6 +203,12 @@ impl StereoRig {
     #[getter]
     fn source(&self) -> &str {
         &self.calibration.source
+    }
+
+    /// Assumptions about what the file leaves unstated that can be wrong; they also stand in `warnings` of the estimates.
+    #[getter]
+    fn warnings(&self) -> Vec<String> {
+        self.doubts().iter().map(|warning| in_python(warning)).collect()
     }
 
     /// What the reader assumed or left out.

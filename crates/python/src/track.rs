@@ -21,22 +21,22 @@ pub struct TrackEstimate {
     estimate: Inner,
     share: Option<CalibrationShare>,
     cpu_millis: f64,
-    pair_warning: Option<String>,
+    input_warnings: Vec<String>,
 }
 
 impl TrackEstimate {
     /// The result of one frame.
     pub fn new(estimate: Inner, cpu_millis: f64) -> Self {
-        Self { estimate, share: None, cpu_millis, pair_warning: None }
+        Self { estimate, share: None, cpu_millis, input_warnings: Vec::new() }
     }
 
-    /// With the share of the calibration in its covariance, and a warning about the pair.
-    pub fn with(self, share: Option<CalibrationShare>, pair_warning: Option<String>) -> Self {
-        Self { share, pair_warning, ..self }
+    /// With the share of the calibration in its covariance, and warnings about pair and calibration.
+    pub fn with(self, share: Option<CalibrationShare>, input_warnings: Vec<String>) -> Self {
+        Self { share, input_warnings, ..self }
     }
 
     fn warnings_in_words(&self) -> Vec<String> {
-        self.estimate.warnings.iter().map(ToString::to_string).chain(self.pair_warning.clone()).collect()
+        self.estimate.warnings.iter().map(ToString::to_string).chain(self.input_warnings.iter().cloned()).collect()
     }
 }
 

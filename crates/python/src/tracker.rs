@@ -36,6 +36,8 @@ struct State {
     shares: TrackShares,
     value_range: Option<ValueRange>,
     is_checked: bool,
+    /// Assumptions about the calibration, for the first estimate.
+    doubts: Vec<String>,
     last_at: Option<MonotonicTime>,
 }
 
@@ -65,7 +67,14 @@ impl Tracker {
             let mut follower = Follower::new(tracker, settings.range);
             follower.watch_skew(true)?;
             let shares = TrackShares::new(*rig.rig(), rig.term().cloned(), 1);
-            let state = State { follower, shares, value_range: settings.value_range, is_checked: false, last_at: None };
+            let state = State {
+                follower,
+                shares,
+                value_range: settings.value_range,
+                is_checked: false,
+                doubts: rig.doubts().to_vec(),
+                last_at: None,
+            };
             Ok(Self { rig: *rig.rig(), method: settings.method, state: Mutex::new(state) })
         });
         made.or_raise(py)
@@ -129,7 +138,8 @@ impl Tracker {
                     state.shares.restart(0);
                 }
                 let share = state.shares.share(0, &estimate);
-                Ok(TrackEstimate::new(estimate, millis).with(share, warning))
+                let warnings = warning.into_iter().chain(std::mem::take(&mut state.doubts)).collect();
+                Ok(TrackEstimate::new(estimate, millis).with(share, warnings))
             });
             state.value_range = range;
             found

@@ -128,8 +128,15 @@ fn camchain_and_case_calibration_are_read() {
     assert!(difference(&json.rig, &rig([Distortion::None, Distortion::None])) < 1e-14);
     let lens = r#""distortion_right": {"model": "rational_polynomial", "coefficients":
         [0.42, -0.21, -0.0009, 0.0013, 0.05, 0.71, -0.13, 0.02]}, "source""#;
-    let json = load_texts(&[("calib.json", &JSON.replace("\"source\"", lens))]).unwrap();
-    assert!(difference(&json.rig, &rig([Distortion::None, EIGHT])) < 1e-14);
+    // ROS drivers write the 14 coefficients of OpenCV under the same name.
+    for more in ["", ", 0, 0, 0, 0", ", 0, 0, 0, 0, 0, 0"] {
+        let lens = lens.replace("0.02]", &format!("0.02{more}]"));
+        let json = load_texts(&[("calib.json", &JSON.replace("\"source\"", &lens))]).unwrap();
+        assert!(difference(&json.rig, &rig([Distortion::None, EIGHT])) < 1e-14);
+    }
+    let prism = JSON.replace("\"source\"", &lens.replace("0.02]", "0.02, 0.001, 0, 0, 0]"));
+    let refused = load_texts(&[("calib.json", &prism)]).unwrap_err().to_string();
+    assert!(refused.contains("thin prism or tilt term, which is not supported"), "{refused}");
 }
 
 #[test]
@@ -399,6 +406,7 @@ fn an_unstated_unit_is_used_only_if_no_other_is_plausible() {
         let found = read(length, StatedCalibration::default()).unwrap();
         assert!((found.rig.baseline_m() - baseline_m).abs() < 1e-12, "{length}");
         assert!(found.warnings.len() == 1 && found.warnings[0].contains(&format!(": {unit} is used")), "{found:?}");
+        assert!(found.warnings[0].contains("mm (otherwise ") && found.warnings[0].contains(" mm with the unit "));
     }
     for (length, needed) in [
         (12.86, ["12.9 mm with the unit mm, 128.6 mm with the unit cm", "--calib-unit mm or --calib-unit cm"]),
@@ -519,6 +527,11 @@ fn binning_and_roi_of_a_camera_info_are_applied() {
         check((640, 480), [700.0, 325.0, 235.0], "binning_x: 1\nroi: {width: 640, height: 480}", images, (0, 0));
         check((640, 480), [700.0, 325.0, 235.0], "binning_x: 0\nroi: {x_offset: 0}", images, (0, 0));
     }
+    // A small part in a corner of the sensor does not contain the principal point.
+    let corner = "roi: {x_offset: 1920, y_offset: 1440, width: 640, height: 480}";
+    let far = window_pair((2560, 1920), [700.0, 1279.5, 959.5], corner, Some(SIZE)).unwrap();
+    assert_eq!((far.rig.left().pinhole().cx, far.rig.left().pinhole().cy), (-640.5, -480.5));
+    far.rig.rectify().unwrap();
     // The size is that of the images; the camera matrix is that of the sensor, or of the images.
     check((640, 480), of_binned, binning, Some(SIZE), (0, 1));
     check((640, 480), [700.0, 525.0, 385.0], roi, Some(SIZE), (0, 1));

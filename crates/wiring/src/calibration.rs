@@ -18,6 +18,7 @@ const WAIVED_MAX_DAYS: u32 = 90;
 pub(super) fn look_at(calibrations: &[CalibrationInUse], now: SystemTime) -> Result<()> {
     for calibration in calibrations {
         look_at_waivers(calibration, now)?;
+        calibration.doubts().for_each(|doubt| tracing::warn!("{doubt}"));
         match &calibration.judgement {
             Some(judgement) => {
                 look_at_gates(calibration, judgement)?;
@@ -144,6 +145,7 @@ pub(super) mod tests {
             judgement: Some(judgement),
             waived: waived.iter().map(|gate| Waiver::parse(&format!("{gate} until 2026-12-01")).unwrap()).collect(),
             age_max: 10 * DAY,
+            warnings: Vec::new(),
         }
     }
 

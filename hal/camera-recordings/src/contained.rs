@@ -4,13 +4,12 @@ use std::path::Path;
 
 use pb3dp_hal_api::CameraError;
 use pb3dp_record::calibration_files::StereoCalibration;
-use pb3dp_record::dataset::DatasetError;
 
-use crate::kind::{Kind, folder_of, unusable};
+use crate::kind::{Kind, folder_of};
 use crate::options::RecordingOptions;
 use crate::pairs::{PERIOD, RecordedPairs};
 
-/// The calibration that a recording contains.
+/// The calibration that a recording contains; [`StereoCalibration::other_lens`] is left to be decided.
 ///
 /// # Errors
 /// As [`Kind::of`], and as [`Kind::calibration`].
@@ -18,6 +17,5 @@ pub fn calibration_of(path: &Path, asked: &RecordingOptions) -> Result<StereoCal
     let path = folder_of(path);
     let kind = Kind::of(path, asked)?;
     let size = RecordedPairs::of(path, &kind, asked, PERIOD)?.image_size();
-    let calibration = kind.calibration(path, &[], (&asked.calibration.stated(), size))?;
-    calibration.decided().map_err(|error| unusable(path, DatasetError::from(error)))
+    kind.calibration(path, &[], (&asked.calibration.stated(), size))
 }

@@ -4,17 +4,21 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use crate::board::{Chessboard, Sighting};
+use crate::fit::View;
 use crate::gates::Grade;
 use crate::hand_eye::gates::{HandEyeLimits, HandEyeVerdict};
 use crate::hand_eye::{CalibrationCovariance, Given, HandEyeFit, HandEyeStop, RobotSigma, tc_has_moved};
 use crate::report::of_hand_eye;
 use crate::verify::length_ratio;
+use crate::verify::lens::decide_lens;
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use pb3dp_camera_recordings::CalibrationOptions;
 use pb3dp_geometry::{ImageSize, StereoRig};
 use pb3dp_record::calibration_files::{
-    HandEye, JudgedGate, Judgement, ParameterCovariance, StereoCalibration, load_stereo, save_hand_eye,
+    HandEye, JudgedGate, Judgement, ParameterCovariance, StereoCalibration, load_stated, save_hand_eye,
 };
+use pb3dp_record::images::StoredImage;
 
 use super::source::StopFiles;
 use super::{gates_file, hand_eye_report, images, numbers, poses, tell};
@@ -36,6 +40,9 @@ pub(super) struct Recording {
     /// Side of a square, mm. Measure ten squares and divide.
     #[arg(long, value_name = "MM", value_parser = numbers::millimetres, allow_hyphen_values = true)]
     square: f64,
+    /// What the stereo calibration does not state.
+    #[command(flatten)]
+    calibration: CalibrationOptions,
 }
 
 /// Arguments of `pb3dp calibrate hand-eye`.
@@ -77,14 +84,19 @@ impl Recording {
     pub(super) fn look(&self) -> Result<DetectedStops> {
         let [columns, rows] = self.board;
         let board = Chessboard::new(columns, rows, self.square * 1e-3)?;
-        let calibration = load_stereo(&self.calib)?;
-        for note in calibration.notes.iter().chain(&calibration.warnings) {
-            tell(&format!("note: {note}"))?;
+        let recordings = self.recording.iter().map(|path| StopFiles::open(path)).collect::<Result<Vec<_>>>()?;
+        let count: usize = recordings.iter().map(|recorded| recorded.stops.stops.len()).sum();
+        let files = recordings
+            .iter()
+            .flat_map(|recorded| recorded.stops.stops.iter().map(|stop| recorded.folder.join(&stop.left)));
+        // Damaged images are reported where they are used.
+        let size = files.into_iter().find_map(|file| Some(StoredImage::load(&file).ok()?.size()));
+        let calibration = load_stated(&self.calib, size, &self.calibration.stated())?;
+        if let Some(size) = size {
+            check_size(&calibration, size)?;
         }
-        let (mut stops, mut date, mut count) = (Vec::new(), String::new(), 0);
-        for path in &self.recording {
-            let recorded = StopFiles::open(path)?;
-            count += recorded.stops.stops.len();
+        let (mut stops, mut date) = (Vec::new(), String::new());
+        for (path, recorded) in self.recording.iter().zip(recordings) {
             stops.extend(self.stops(path, &recorded, &board, calibration.rig.left().size())?);
             // A calibration is as old as its oldest image.
             if date.is_empty() || recorded.stops.date < date {
@@ -93,6 +105,11 @@ impl Recording {
         }
         if stops.is_empty() {
             bail!("the board was detected at none of {count} stops");
+        }
+        let view = |stop: &HandEyeStop| View { name: stop.name.clone(), sightings: stop.sightings.clone() };
+        let calibration = decide_lens(calibration, &stops.iter().map(view).collect::<Vec<_>>(), &board)?;
+        for note in calibration.notes.iter().chain(&calibration.warnings) {
+            tell(&format!("note: {note}"))?;
         }
         Ok(DetectedStops { calibration, board, date, stops })
     }
@@ -128,6 +145,22 @@ impl Recording {
 /// Board lengths with a larger relative error indicate an input mistake: either in --square or in the square size of the stereo
 /// calibration.
 const SQUARES_OFF_MAX: f64 = 0.03;
+
+/// Refuses a calibration for images of another size.
+pub(super) fn check_size(calibration: &StereoCalibration, images: ImageSize) -> Result<()> {
+    let (calibrated, source) = (calibration.rig.left().size(), &calibration.source);
+    if calibrated != images {
+        bail!(
+            "the images have {}x{} pixels, but {source} is for {}x{}; give the calibration of these images, or state --calib-size if they \
+             were scaled",
+            images.width,
+            images.height,
+            calibrated.width,
+            calibrated.height
+        );
+    }
+    Ok(())
+}
 
 /// Refuses a square size that contradicts the stereo rig before other errors are searched for.
 pub(super) fn check_squares<'a>(

@@ -36,6 +36,7 @@ use clap::{Args, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressFinish};
 use pb3dp_camera_recordings::RecordingOptions;
 use pb3dp_geometry::ImageSize;
+use pb3dp_record::calibration_files::StatedCalibration;
 use tempfile::TempDir;
 
 use self::board::BoardArgs;
@@ -211,6 +212,11 @@ fn intrinsics(args: &IntrinsicsArgs) -> Result<ExitCode> {
 
 fn stereo(args: &StereoArgs) -> Result<ExitCode> {
     let (board, limits) = args.common.checked()?;
+    if args.pairs.how.calibration.stated() != StatedCalibration::default() {
+        anyhow::bail!(
+            "--calib-unit, --calib-size, --calib-lens and --rectified have no effect here: no calibration is read; leave them out"
+        );
+    }
     // Refuse an unusable output name before the long computation.
     args.out.as_deref().map(convert::check_name).transpose()?;
     for file in args.out.iter().chain(&args.common.report) {

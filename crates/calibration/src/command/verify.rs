@@ -8,15 +8,16 @@ use crate::board::Chessboard;
 use crate::gates::Grade;
 use crate::report::{GateLine, verdict_in_words};
 use crate::verify::against::{Comparison, Known, compare};
+use crate::verify::lens::decide_lens;
 use crate::verify::limits::{Check, VerifyLimits};
 use crate::verify::touch::TouchResult;
 use crate::verify::{Checked, check, depth_sigma_m, lengths_m};
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use nalgebra::DMatrix;
-use pb3dp_record::calibration_files::{StereoCalibration, load_stereo};
+use pb3dp_record::calibration_files::{StereoCalibration, load_stated, load_stereo};
 
-use super::hand_eye::check_squares;
+use super::hand_eye::{check_size, check_squares};
 use super::{DetectedBoards, Pairs, numbers, tell, touch_test, verify_limits};
 
 /// Arguments of `pb3dp calibrate verify`.
@@ -59,7 +60,8 @@ pub(super) struct VerifyArgs {
 /// Runs the command; a calibration refused by a check is a failure.
 pub(super) fn run(args: &VerifyArgs) -> Result<ExitCode> {
     let limits = args.limits.as_deref().map_or_else(|| Ok(VerifyLimits::default()), verify_limits::read)?;
-    let calibration = load_stereo(std::slice::from_ref(&args.calibration))?;
+    let seen = args.pairs.are_given().then(|| args.seen()).transpose()?;
+    let calibration = args.calibration(seen.as_ref())?;
     let known = known(&calibration);
     let depth_m = args.distance * 1e-3;
     let made = calibration.judgement.as_ref().map_or_else(String::new, |judgement| format!(", of {}", judgement.date));
@@ -70,22 +72,23 @@ pub(super) fn run(args: &VerifyArgs) -> Result<ExitCode> {
     let mut gates = Vec::new();
     // Squared contributions to the hand error, m^2: the measured ones, and the one from the covariance of the calibration.
     let mut hand_m2 = depth_sigma_m(&known, depth_m).map_or(0.0, |sigma_m| sigma_m.powi(2));
-    if args.pairs.are_given() {
-        let (seen, board) = args.seen()?;
+    if let Some((seen, board)) = &seen {
         tell(&seen.told)?;
-        check_squares(&known.rig, seen.views.iter().map(|view| &view.sightings), &board)?;
-        let checked = check(&known.rig, &seen.views, &board)?;
+        check_squares(&known.rig, seen.views.iter().map(|view| &view.sightings), board)?;
+        let checked = check(&known.rig, &seen.views, board)?;
         tell(&of_views(&checked, depth_m))?;
         let scale = checked.scale_at(depth_m);
         hand_m2 += ((scale.scale - 1.0).powi(2) + scale.sigma.powi(2)) * depth_m * depth_m;
         gates.push(limits.judge(Check::Reprojection, checked.reprojection_rms_px));
         gates.push(limits.judge(Check::Rows, checked.rows.rms_px));
         gates.push(limits.judge(Check::Scale, 100.0 * (scale.scale - 1.0).abs()));
-        gates.extend(args.ruler(&known, &seen, &limits)?);
-        gates.extend(args.touched(&known, &seen, &limits)?);
+        gates.extend(args.ruler(&known, seen, &limits)?);
+        gates.extend(args.touched(&known, seen, &limits)?);
     }
     if let Some(other) = &args.against {
-        let second = self::known(&load_stereo(std::slice::from_ref(other))?);
+        let second = load_stereo(std::slice::from_ref(other))
+            .context("--against (options for what a file leaves unstated are about CALIBRATION; `pb3dp calibrate convert` has them, too)")?;
+        let second = self::known(&second);
         if second.rig.left().size() != known.rig.left().size() {
             bail!("{}: the image size differs; compare calibrations with the same image size", other.display());
         }
@@ -131,6 +134,16 @@ fn known(calibration: &StereoCalibration) -> Known {
 }
 
 impl VerifyArgs {
+    /// The calibration, as the user states it; the views decide the image size and the lens model if the file does not.
+    fn calibration(&self, seen: Option<&(DetectedBoards<2>, Chessboard)>) -> Result<StereoCalibration> {
+        let files = std::slice::from_ref(&self.calibration);
+        let stated = self.pairs.how.calibration.stated();
+        let calibration = load_stated(files, seen.map(|(seen, _)| seen.size), &stated)?;
+        let Some((seen, board)) = seen else { return Ok(calibration.decided()?) };
+        check_size(&calibration, seen.size)?;
+        Ok(decide_lens(calibration, &seen.views, board)?)
+    }
+
     fn seen(&self) -> Result<(DetectedBoards<2>, Chessboard)> {
         let [columns, rows] = self.board.context("--board is required with images, for example 9x6")?;
         let square_mm = self.square.context("--square is required with images: the side of a square, mm")?;

@@ -3,6 +3,7 @@
 //! The results are combined into one figure: the expected hand error at the working distance.
 
 pub mod against;
+pub mod lens;
 pub mod limits;
 pub mod touch;
 

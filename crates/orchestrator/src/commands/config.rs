@@ -12,7 +12,7 @@ use pb3dp_cell::terminal::print_line;
 use pb3dp_commissioning::commissioned::needed_records;
 use pb3dp_setup::explain::{explain, is_within};
 use pb3dp_setup::layers::{Effective, Layers, SetupArgs, built_in, toml_of};
-use pb3dp_setup::setup::{is_for_cameras_only, read_cameras, read_layers};
+use pb3dp_setup::setup::{CalibrationInUse, is_for_cameras_only, read_cameras, read_layers};
 use pb3dp_wiring::check_key_files;
 
 use crate::arguments::UNSURE;
@@ -160,6 +160,9 @@ fn check(args: &CheckArgs) -> Result<ExitCode> {
     check_stated_paths(&setup).context(would_refuse)?;
     check_key_files(&setup).context(would_refuse)?;
     needed_records(&setup, SystemTime::now()).context(would_refuse)?;
+    for doubt in setup.rig.calibrations.iter().flat_map(CalibrationInUse::doubts) {
+        tracing::warn!("{doubt}");
+    }
     print_line(&format!("{}: {} values, accepted", args.setup, setup.layers.effective().len()))?;
     Ok(ExitCode::SUCCESS)
 }
@@ -170,7 +173,9 @@ fn check_cameras(setup: &SetupArgs) -> Result<ExitCode> {
     let missing: Vec<String> =
         cameras.calibration_files.iter().filter(|file| !file.exists()).map(|file| file.display().to_string()).collect();
     if missing.is_empty() {
-        cameras.calibration()?;
+        for warning in cameras.calibration()?.warnings {
+            tracing::warn!("camera.calibration: {warning}");
+        }
     }
     print_line(&format!(
         "{setup}: accepted for `pb3dp cameras`; `pb3dp run` also needs the tables [mounts] and [arms.NAME]"

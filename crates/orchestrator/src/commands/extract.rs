@@ -5,6 +5,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use pb3dp_cell::lens_reading::decide_lens;
 use pb3dp_cell::terminal::print_line;
 use pb3dp_record::calibration_files::{save_json, save_judged};
 use pb3dp_record::images::{StoredFormat, save};
@@ -42,7 +43,7 @@ pub fn run(args: &ExtractArgs) -> Result<ExitCode> {
     for folder in &folders {
         std::fs::create_dir_all(folder).with_context(|| format!("--out {}: cannot be created", folder.display()))?;
     }
-    write_calibration(args)?;
+    write_calibration(args, &mut pairs)?;
     for warning in pairs.take_warnings() {
         tracing::warn!("{warning}");
     }
@@ -71,11 +72,16 @@ pub fn run(args: &ExtractArgs) -> Result<ExitCode> {
 }
 
 /// Writes the calibration of the recording beside the images, where `--calib` and `track --sequence` find it.
-fn write_calibration(args: &ExtractArgs) -> Result<()> {
-    let calibration = match calibration_of(&args.recording, &args.how.all()) {
+fn write_calibration(args: &ExtractArgs, pairs: &mut RecordedPairs) -> Result<()> {
+    let decided = |calibration| match (0..pairs.count()).find_map(|number| pairs.images(number, None).ok()) {
+        Some([left, right]) => Ok(decide_lens(calibration, &left, &right)?),
+        None => Ok(calibration.decided()?),
+    };
+    let found = calibration_of(&args.recording, &args.how.all()).map_err(anyhow::Error::new).and_then(decided);
+    let calibration = match found {
         Ok(calibration) => calibration,
         Err(error) => {
-            tracing::info!("no calibration is written: {:#}", anyhow::Error::new(error));
+            tracing::info!("no calibration is written: {error:#}");
             return Ok(());
         }
     };

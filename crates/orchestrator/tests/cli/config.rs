@@ -59,6 +59,33 @@ fn a_setup_that_is_begun_is_accepted_or_says_what_is_missing() {
     }
 }
 
+/// A setup has no options for its calibration.
+#[test]
+fn what_a_calibration_leaves_unstated_is_warned_of_or_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("stereo.yml");
+    let check = |lens: &str| {
+        let camera = "[[700, 0, 319.5], [0, 700, 239.5], [0, 0, 1]]";
+        let text = format!(
+            "%YAML:1.0\n---\nK1: {camera}\nK2: {camera}\nD1: {lens}\nD2: {lens}\nR: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\nT: [-64.3, 0, 0]\n"
+        );
+        fs::write(&file, text).unwrap();
+        config(&["check", "--config", "sim", "--set", &format!("camera.calibration=[\"{}\"]", file.display())])
+    };
+    let warned = check("[0.001, 0, 0, 0, 0]");
+    assert_eq!(warned.code, Some(0), "{warned:?}");
+    for part in ["camera.calibration: ", "states no image size: that of the images, 640x480", "mm is used, because the"]
+    {
+        assert!(warned.stderr.contains(part), "{warned:?}");
+    }
+    let refused = check("[0.001, 0, 0, 0]");
+    assert_eq!(refused.code, Some(1), "{refused:?}");
+    for part in ["`pb3dp calibrate convert` with the option writes a file", "--calib-lens brown or --calib-lens equid"]
+    {
+        assert!(refused.stderr.contains(part), "{refused:?}");
+    }
+}
+
 #[test]
 fn an_experiment_that_a_run_refuses_is_refused_before() {
     let checked = config(&["check", "--config", "sim", "--set", "arms.tc.start_deg=[0,0,0,0,0,0,0]"]);

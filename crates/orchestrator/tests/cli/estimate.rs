@@ -314,11 +314,25 @@ fn what_a_calibration_leaves_unstated_is_used_with_a_warning_or_refused() {
     std::fs::write(&file, &whole).unwrap();
     track(&[&"--calib-unit", &"mm"]).assert_refused(&["units: is m, --calib-unit states mm"]);
     track(&[&"--calib-size", &"320x240"]).assert_refused(&["--calib-size 320x240: the file states"]);
+    extracting_decides_the_lens_model(pair.dir.path(), &sequence, &bare);
     // The unit of centimetres.
     let in_cm = bare.replace("T: !!opencv-matrix", "was_T: !!opencv-matrix");
     let t = rig().cam_right_from_cam_left().translation_m() * 100.0;
     std::fs::write(&file, format!("{in_cm}T: [{}, {}, {}]\n", 2.0 * t.x, 2.0 * t.y, 2.0 * t.z)).unwrap();
     track(&[]).assert_refused(&["T: has length", "--calib-unit mm or --calib-unit cm"]);
+}
+
+/// Images are at hand where a recording is unpacked; `bare` is a calibration without lens model.
+fn extracting_decides_the_lens_model(folder: &Path, sequence: &Path, bare: &str) {
+    let [intrinsics, extrinsics] = ["intrinsics.yml", "extrinsics.yml"].map(|name| sequence.join(name));
+    let four = bare.replace("D1: !!", "was_D1: !!").replace("D2: !!", "was_D2: !!");
+    std::fs::write(&intrinsics, four + "D1: [0.0001, 0, 0, 0]\nD2: [0.0001, 0, 0, 0]\n").unwrap();
+    std::fs::write(&extrinsics, "%YAML:1.0\n---\nnothing: 0\n").unwrap();
+    let out = folder.join("extracted");
+    let extracted = pb3dp(&words(&[&"extract", &sequence, &"--out", &out])).assert_success();
+    assert!(extracted.stderr.contains("no lens model: Brown-Conrady (k1 k2 p1 p2) is used"), "{}", extracted.stderr);
+    let decided = pb3dp_record::calibration_files::load_stereo(&[out.join("calib.json")]).unwrap();
+    assert!((decided.rig.baseline_m() - rig().baseline_m()).abs() < 1e-12);
 }
 
 /// A case may have any calibration: its size is that of the images, too.

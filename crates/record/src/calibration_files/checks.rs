@@ -32,10 +32,25 @@ pub(super) fn camera(
     pinhole: Pinhole,
     distortion: Distortion,
 ) -> Result<Camera, CalibrationFileError> {
-    let camera = Camera::new(size, pinhole, distortion).map_err(|error| match error {
+    near_the_image(node, size, &pinhole)?;
+    off_centre_camera(node, size, pinhole, distortion)
+}
+
+/// A camera whose images may be any part of those that its lens gives.
+pub(super) fn off_centre_camera(
+    node: &Node<'_>,
+    size: ImageSize,
+    pinhole: Pinhole,
+    distortion: Distortion,
+) -> Result<Camera, CalibrationFileError> {
+    Camera::new(size, pinhole, distortion).map_err(|error| match error {
         CameraError::Parameter { name, value, expected } => node.refuse(format!("{name} is {value}: it {expected}")),
         other => node.refuse(other),
-    })?;
+    })
+}
+
+/// Refuses a principal point far outside the image.
+pub(super) fn near_the_image(node: &Node<'_>, size: ImageSize, pinhole: &Pinhole) -> Result<(), CalibrationFileError> {
     let sides = [("cx", pinhole.cx, "width", size.width), ("cy", pinhole.cy, "height", size.height)];
     for (name, value, side, length) in sides {
         let length = f64::from(length);
@@ -46,7 +61,7 @@ pub(super) fn camera(
             return Err(node.refuse(reason));
         }
     }
-    Ok(camera)
+    Ok(())
 }
 
 /// A distortion from a model name and its coefficients in the order of that model.
@@ -68,10 +83,17 @@ pub(super) fn distortion(
             _ if name == "radtan" => wrong_count("4 (k1 k2 p1 p2)"),
             _ => wrong_count("5 (k1 k2 p1 p2 k3)"),
         },
-        "rational_polynomial" => match <[f64; 8]>::try_from(numbers.as_slice()) {
-            Ok(zeros) if zeros == [0.0; 8] => Ok(Distortion::None),
-            Ok(coefficients) => Ok(Distortion::BrownConrady8 { coefficients }),
-            Err(_) => wrong_count("8 (k1 k2 p1 p2 k3 k4 k5 k6)"),
+        // ROS drivers also write the 12 or 14 coefficients of OpenCV under this name.
+        "rational_polynomial" => match numbers.split_first_chunk::<8>() {
+            Some((eight, rest)) if [0, 4, 6].contains(&rest.len()) => {
+                none_of_prism_and_tilt(coefficients, rest)?;
+                Ok(if *eight == [0.0; 8] {
+                    Distortion::None
+                } else {
+                    Distortion::BrownConrady8 { coefficients: *eight }
+                })
+            }
+            _ => wrong_count("8 (k1 k2 p1 p2 k3 k4 k5 k6)"),
         },
         "equidistant" | "fisheye" => match <[f64; 4]>::try_from(numbers.as_slice()) {
             Ok(coefficients) => Ok(Distortion::Equidistant { coefficients }),
@@ -82,6 +104,17 @@ pub(super) fn distortion(
         _ => Err(model.refuse(format!(
             "unknown distortion model {name}; use plumb_bob or radtan, rational_polynomial, equidistant or fisheye, or none"
         ))),
+    }
+}
+
+/// Refuses coefficients after the eighth that are not zero.
+pub(super) fn none_of_prism_and_tilt(node: &Node<'_>, rest: &[f64]) -> Result<(), CalibrationFileError> {
+    match rest.iter().all(|number| *number == 0.0) {
+        true => Ok(()),
+        false => {
+            Err(node
+                .refuse("has a thin prism or tilt term, which is not supported; calibrate with 5 or 8 coefficients"))
+        }
     }
 }
 

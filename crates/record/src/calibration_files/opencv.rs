@@ -340,11 +340,7 @@ fn distortion(node: &Node<'_>) -> Result<Distortion, CalibrationFileError> {
     if ![4, 5, 8, 12, 14].contains(&numbers.len()) {
         return Err(node.refuse(wrong));
     }
-    if numbers.iter().skip(8).any(|number| *number != 0.0) {
-        return Err(
-            node.refuse("has a thin prism or tilt term, which is not supported; calibrate with 5 or 8 coefficients")
-        );
-    }
+    checks::none_of_prism_and_tilt(node, numbers.get(8..).unwrap_or_default())?;
     let mut eight = [0.0; 8];
     for (to, from) in eight.iter_mut().zip(&numbers) {
         *to = *from;
@@ -378,7 +374,8 @@ fn unit(
     if let Some(unit) = stated {
         return Ok(unit);
     }
-    let baseline = |unit: LengthUnit| format!("{:.1} mm with the unit {}", length * unit.metres() * 1e3, unit.name());
+    let baseline = |unit: &LengthUnit| format!("{:.1} mm with the unit {}", length * unit.metres() * 1e3, unit.name());
+    let baselines = |units: &[LengthUnit]| units.iter().map(baseline).collect::<Vec<_>>().join(", ");
     let plausible: Vec<LengthUnit> =
         LengthUnit::ALL.into_iter().filter(|unit| plausible_m(*unit).contains(&(length * unit.metres()))).collect();
     let options = |units: &[LengthUnit]| {
@@ -386,21 +383,23 @@ fn unit(
     };
     match plausible.as_slice() {
         [unit] => {
+            let others = LengthUnit::ALL.into_iter().filter(|other| other != unit).collect::<Vec<_>>();
             remarks.warnings.push(format!(
-                "the calibration states no unit of length: {} is used, because the baseline is then {:.1} mm, and not plausible with another \
-                 unit; if this is wrong, state it with --calib-unit",
+                "the calibration states no unit of length: {} is used, because the baseline is then {:.1} mm (otherwise {}); if this is wrong, \
+                 state it with --calib-unit",
                 unit.name(),
-                length * unit.metres() * 1e3
+                length * unit.metres() * 1e3,
+                baselines(&others)
             ));
             Ok(*unit)
         }
         units => {
             let shown = if units.is_empty() { &LengthUnit::ALL } else { units };
-            let baselines = shown.iter().map(|unit| baseline(*unit)).collect::<Vec<_>>().join(", ");
             let how_many = if units.is_empty() { "none is plausible" } else { "both are plausible" };
             Err(translation.refuse(format!(
-                "has length {length:.4}, and the file states no unit; the baseline is {baselines}: {how_many}; state the unit with {}, or add \
+                "has length {length:.4}, and the file states no unit; the baseline is {}: {how_many}; state the unit with {}, or add \
                  the key units with mm, cm or m",
+                baselines(shown),
                 options(shown)
             )))
         }

@@ -26,11 +26,14 @@ pub(super) fn read(
 ) -> Result<(StereoRig, Remarks), CalibrationFileError> {
     let stated = [stated_camera(left, rectified)?, stated_camera(right, rectified)?];
     let ImageCameras { sizes, pinholes, note, warning } = camera_matrices([&stated[0], &stated[1]], images)?;
-    let of_images = |root, side: usize| match rectified {
-        true => checks::camera(&stated[side].root, sizes[side], pinholes[side], Distortion::None),
-        false => camera(root, sizes[side], pinholes[side]),
+    let of_images = |side: usize| {
+        let StatedCamera { root, size, window, .. } = &stated[side];
+        let distortion = if rectified { Distortion::None } else { distortion(root)? };
+        // A small part of the sensor may be far from the principal point.
+        let camera = if window.is_whole(*size) { checks::camera } else { checks::off_centre_camera };
+        camera(&root.get("camera_matrix")?, sizes[side], pinholes[side], distortion)
     };
-    let cameras = [of_images(left, 0)?, of_images(right, 1)?];
+    let cameras = [of_images(0)?, of_images(1)?];
     let (left_rotation, right_rotation) = match rectified {
         true => (Matrix3::identity(), Matrix3::identity()),
         false => (rectification(left)?, rectification(right)?),
@@ -75,13 +78,9 @@ fn stated_camera<'a>(root: &Node<'a>, rectified: bool) -> Result<StatedCamera<'a
     Ok(StatedCamera { root: root.clone(), size, pinhole, window: SensorWindow::read(root)? })
 }
 
-fn camera(root: &Node<'_>, size: ImageSize, pinhole: Pinhole) -> Result<Camera, CalibrationFileError> {
-    let intrinsics = root.get("camera_matrix")?;
+fn distortion(root: &Node<'_>) -> Result<Distortion, CalibrationFileError> {
     let model = root.get("distortion_model")?;
-    let name = model.text()?;
-    let coefficients = root.get("distortion_coefficients")?;
-    let distortion = checks::distortion(&model, name, &coefficients)?;
-    checks::camera(&intrinsics, size, pinhole, distortion)
+    checks::distortion(&model, model.text()?, &root.get("distortion_coefficients")?)
 }
 
 fn rectification(root: &Node<'_>) -> Result<Matrix3<f64>, CalibrationFileError> {

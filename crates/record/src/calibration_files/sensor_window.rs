@@ -64,7 +64,7 @@ impl SensorWindow {
     }
 
     /// Whether the images show the whole sensor of this size, pixel by pixel.
-    fn is_whole(&self, sensor: ImageSize) -> bool {
+    pub(super) fn is_whole(&self, sensor: ImageSize) -> bool {
         let is_side = |axis: usize, side| [0, side].contains(&self.size[axis]) && self.factor(axis) == 1;
         self.offset == [0, 0] && is_side(0, sensor.width) && is_side(1, sensor.height)
     }

@@ -3,10 +3,9 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use anyhow::{Context, Result};
 use pb3dp_geometry::ImageSize;
-use pb3dp_record::calibration_files::{
-    CalibrationFileError, Judgement, StereoCalibration, load_stereo_for, parse_stereo,
-};
+use pb3dp_record::calibration_files::{Judgement, StereoCalibration, load_stereo_for, parse_stereo};
 
 use super::super::layers::built_in;
 use super::super::load::Checker;
@@ -53,6 +52,8 @@ pub struct CalibrationInUse {
     pub waived: Vec<Waiver>,
     /// Age limit.
     pub age_max: Duration,
+    /// Assumptions of the reader that can be wrong.
+    pub warnings: Vec<String>,
 }
 
 impl CalibrationInUse {
@@ -81,7 +82,7 @@ impl CalibrationInUse {
                 )),
             }
         }
-        Self { table, source, judgement, waived: waivers, age_max: DAY.mul_f64(age_max_days) }
+        Self { table, source, judgement, waived: waivers, age_max: DAY.mul_f64(age_max_days), warnings: Vec::new() }
     }
 
     /// Whether the setup waives this gate.
@@ -89,10 +90,16 @@ impl CalibrationInUse {
         self.waived.iter().any(|waiver| waiver.gate == gate)
     }
 
-    /// Text for reports: file, date, refusals and waivers.
+    /// The assumptions of the reader, with key and file.
+    pub fn doubts(&self) -> impl Iterator<Item = String> {
+        self.warnings.iter().map(|warning| format!("{}.calibration: {}: {warning}", self.table, self.source))
+    }
+
+    /// Text for reports: file, date, refusals and waivers, or the assumptions of the reader.
     pub fn text(&self) -> String {
         let Some(judgement) = &self.judgement else {
-            return format!("{}, which says nothing of its worth", self.source);
+            let nothing = format!("{}, which says nothing of its worth", self.source);
+            return [std::slice::from_ref(&nothing), &self.warnings].concat().join("; ");
         };
         let refused = judgement
             .refusals()
@@ -105,12 +112,23 @@ impl CalibrationInUse {
 }
 
 /// Reads the files of a calibration; a file may be built in.
-pub(super) fn load_files(files: &[PathBuf], size: ImageSize) -> Result<StereoCalibration, CalibrationFileError> {
+///
+/// # Errors
+/// Unusable files, with the remedy for those that leave something unstated: setups have no options for calibrations.
+pub(super) fn load_files(files: &[PathBuf], size: ImageSize) -> Result<StereoCalibration> {
     let built_in = files.first().and_then(|file| Some((file, built_in::text_at(file.to_str()?)?)));
-    match (built_in, files.len()) {
+    let loaded = match (built_in, files.len()) {
         (Some((name, text)), 1) => parse_stereo(name, text, Some(size)),
         _ => load_stereo_for(files, size),
-    }
+    };
+    let asks_for_option = loaded.as_ref().err().is_some_and(|error| error.to_string().contains("--calib-"));
+    loaded.context(match asks_for_option {
+        true => {
+            "camera.calibration: a setup states nothing about its calibration; `pb3dp calibrate convert` with the option writes a file that \
+             states everything"
+        }
+        false => "camera.calibration",
+    })
 }
 
 /// A measured number with four digits.

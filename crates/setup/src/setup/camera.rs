@@ -93,7 +93,7 @@ impl CameraSection {
         };
         let waivers = (self.waived_gates.as_deref(), self.calibration_age_max_days);
         let in_use = CalibrationInUse::new(("camera", loaded.source), loaded.judgement, waivers, check);
-        (Some(loaded.rig), Some(in_use))
+        (Some(loaded.rig), Some(CalibrationInUse { warnings: loaded.warnings, ..in_use }))
     }
 
     pub(super) fn faults(&self, check: &mut Checker) -> CameraFaults {

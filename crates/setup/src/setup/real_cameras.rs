@@ -108,7 +108,7 @@ impl RealCameras {
 /// # Errors
 /// Unusable files, or a calibration for images of another size.
 pub(super) fn load_calibration(files: &[PathBuf], size: ImageSize) -> Result<StereoCalibration> {
-    let calibration = load_files(files, size).context("camera.calibration")?;
+    let calibration = load_files(files, size)?;
     let calibrated = calibration.rig.left().size();
     if calibrated != size {
         let is_whole = |whole: ImageSize, view: ImageSize| {

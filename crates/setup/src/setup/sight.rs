@@ -98,10 +98,11 @@ impl CameraTable {
                 }
                 let exposure = cameras.exposure().max(Duration::from_micros(1));
                 let period = cameras.period();
+                let in_use = section.in_use((calibration.source, calibration.judgement), check);
                 Some(Sight {
                     rig: calibration.rig,
                     nominal_calibration: calibration.not_measured,
-                    calibration: Some(section.in_use((calibration.source, calibration.judgement), check)),
+                    calibration: Some(CalibrationInUse { warnings: calibration.warnings, ..in_use }),
                     frames: FrameTiming { period, exposure },
                     real_cameras: Some(cameras),
                     world: None,

@@ -118,25 +118,30 @@ impl CameraChoice {
         (!setup.configs.is_empty()).then_some(setup)
     }
 
-    /// The cameras with all settings, and their calibration.
+    /// The cameras with all settings, and their calibration, with what the user states about --calib.
     ///
     /// # Errors
     /// If no cameras are named, or a file cannot be used.
-    pub(in crate::commands) fn chosen(&self) -> Result<Chosen> {
-        match self.setup() {
-            Some(setup) => of_setup(&setup, true),
-            None => self.typed(&StatedCalibration::default()),
-        }
+    pub(in crate::commands) fn chosen(&self, stated: &StatedCalibration) -> Result<Chosen> {
+        self.of_any(stated, true)
     }
 
-    /// As [`Self::chosen`], with what the user states about --calib. The calibration of a setup need not exist yet: the cameras are shown
-    /// without it, with a warning.
+    /// As [`Self::chosen`]; but the calibration of a setup need not exist yet: the cameras are shown without it, with a warning.
     ///
     /// # Errors
     /// As [`Self::chosen`].
     pub(in crate::commands) fn to_show(&self, stated: &StatedCalibration) -> Result<Chosen> {
+        self.of_any(stated, false)
+    }
+
+    fn of_any(&self, stated: &StatedCalibration, needs_calibration: bool) -> Result<Chosen> {
+        if self.calib.is_empty() && *stated != StatedCalibration::default() {
+            bail!(
+                "--calib-unit, --calib-size, --calib-lens and --rectified have no effect: they are about the file of --calib; leave them out"
+            );
+        }
         match self.setup() {
-            Some(setup) => of_setup(&setup, false),
+            Some(setup) => of_setup(&setup, needs_calibration),
             None => self.typed(stated),
         }
     }
@@ -150,9 +155,7 @@ impl CameraChoice {
                 Some(load_stated(files, self.size, stated).and_then(StereoCalibration::decided).context("--calib")?)
             }
         };
-        for warning in loaded.iter().flat_map(|loaded| &loaded.warnings) {
-            tracing::warn!("{warning}");
-        }
+        warn_of(loaded.as_ref());
         let rig = loaded.as_ref().map(|loaded| loaded.rig);
         let calibrated = rig.as_ref().map(|rig| rig.left().size());
         let size = self.size.or(calibrated).unwrap_or(ImageSize { width: 640, height: 480 });
@@ -225,12 +228,19 @@ fn of_setup(setup: &SetupArgs, needs_calibration: bool) -> Result<Chosen> {
             None
         }
     };
+    warn_of(loaded.as_ref());
     if let Some(loaded) = &loaded {
         cameras.calibrate(&loaded.rig)?;
     }
     let target = ChosenTarget { region: cameras.region, range: Some(range) };
     let (rig, calibration) = (loaded.as_ref().map(|loaded| loaded.rig), loaded.as_ref().map(facts));
     Ok(Chosen { config: cameras.stereo, rig, calibration, target })
+}
+
+fn warn_of(loaded: Option<&StereoCalibration>) {
+    for warning in loaded.iter().flat_map(|loaded| &loaded.warnings) {
+        tracing::warn!("{warning}");
+    }
 }
 
 fn facts(loaded: &StereoCalibration) -> CalibrationFacts {

@@ -16,6 +16,7 @@ use pb3dp_camera_v4l2::{StereoCounters, V4l2StereoCamera};
 use pb3dp_cell::camera_findings::{Finding, ImageChecks};
 use pb3dp_cell::terminal::print_line;
 use pb3dp_hal_api::{CameraErrorKind, Clock, FramePair, StereoCamera};
+use pb3dp_wiring::CalibrationOptions;
 
 use self::report::Report;
 use self::times::Moment;
@@ -43,6 +44,8 @@ Object of --json:
 pub(super) struct CheckArgs {
     #[command(flatten)]
     cameras: CameraChoice,
+    #[command(flatten)]
+    calibration: CalibrationOptions,
     /// Pairs to measure.
     #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u32).range(30..=100_000))]
     pairs: u32,
@@ -71,7 +74,7 @@ struct CapturedPairs {
 }
 
 fn checked(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &CheckArgs) -> Result<Report> {
-    let Chosen { mut config, rig, .. } = args.cameras.chosen()?;
+    let Chosen { mut config, rig, .. } = args.cameras.chosen(&args.calibration.stated())?;
     let skew_max = config.skew_max;
     // All pairs are accepted here: their skew is measured, and checked at the end.
     if let Some(period_s) = config.left.mode.interval.seconds() {

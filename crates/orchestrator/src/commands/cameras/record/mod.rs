@@ -24,6 +24,7 @@ use pb3dp_record::dataset::{SearchRange, SequenceDraft, SequenceWriter};
 use pb3dp_record::images::StoredFormat;
 use pb3dp_recording::pairs::is_file;
 use pb3dp_setup::region_spec::RegionSpec;
+use pb3dp_wiring::CalibrationOptions;
 use pb3dp_wiring::calibration::identity;
 use pb3dp_wiring::camera_controls::log_exposure;
 use serde::Serialize;
@@ -60,6 +61,8 @@ const TILT_MAX_DEG: f64 = 60.0;
 pub(super) struct RecordArgs {
     #[command(flatten)]
     cameras: CameraChoice,
+    #[command(flatten)]
+    calibration: CalibrationOptions,
     /// Where to record: a FILE.mcap, which needs no calibration and no target, or a folder, which becomes a sequence. An earlier recording
     /// is not overwritten.
     #[arg(long, value_name = "FILE.mcap|DIR")]
@@ -134,7 +137,7 @@ fn recorded(
     is_over: &mut dyn FnMut() -> bool,
 ) -> Result<Recorded> {
     check_recording_name("--out", &args.out)?;
-    let Chosen { config, rig, target, .. } = args.cameras.chosen()?;
+    let Chosen { config, rig, target, .. } = args.cameras.chosen(&args.calibration.stated())?;
     if is_file(&args.out) {
         file::check_options(args)?;
         let mut camera =

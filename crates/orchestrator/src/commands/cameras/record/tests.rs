@@ -8,7 +8,7 @@ use pb3dp_bag::messages::{Image, Text};
 use pb3dp_bag::pairs::{PairOptions, StereoBag, decoded};
 use pb3dp_bag::topics::ours;
 use pb3dp_camera_v4l2::emulated::EmulatedCamera;
-use pb3dp_record::calibration_files::{StatedCalibration, load_stereo};
+use pb3dp_record::calibration_files::{StatedCalibration, load_stereo, save_opencv};
 use pb3dp_record::dataset::load_sequence;
 
 use super::super::emulated_rig::{case, images, number_in, system, system_of_one, typed, typed_of_one, typed_of_setup};
@@ -114,6 +114,25 @@ fn an_end_by_hand_is_an_end_in_order() {
     assert!(format!("{error:#}").contains("give an empty folder"), "{error:#}");
 }
 
+/// The options that a refused calibration asks for.
+#[test]
+fn what_the_calibration_leaves_unstated_can_be_stated() {
+    let Place { folder, calibration } = Place::new();
+    let rig = load_stereo(&[calibration.into()]).unwrap().rig;
+    let file = folder.path().join("stereo.yml");
+    save_opencv(&rig, &file).unwrap();
+    let text = std::fs::read_to_string(&file).unwrap().replace("units: m\n", "").replace("T: !!", "was_T: !!");
+    std::fs::write(&file, text + "T: [-12, 0, 0]\n").unwrap();
+    let place = Place { calibration: file.display().to_string(), folder };
+    let chosen = |args: RecordArgs| args.cameras.chosen(&args.calibration.stated());
+    let refused = format!("{:#}", chosen(place.args(&[])).unwrap_err());
+    assert!(refused.contains("--calib-unit mm or --calib-unit cm"), "{refused}");
+    let stated = chosen(place.args(&["--calib-unit", "cm"])).unwrap().rig.unwrap();
+    assert!((stated.baseline_m() - 0.12).abs() < 1e-12);
+    let of_setup = chosen(typed_of_setup(&["--calib-unit", "cm", "--out", "x"])).unwrap_err().to_string();
+    assert!(of_setup.contains("have no effect: they are about the file of --calib"), "{of_setup}");
+}
+
 #[test]
 fn seconds_are_those_of_the_cameras() {
     let place = Place::new();
@@ -125,7 +144,7 @@ fn seconds_are_those_of_the_cameras() {
 /// A writer into the place, and cameras, for the recorder itself.
 fn parts(place: &Place, plan: &[&str]) -> (V4l2StereoCamera, Arc<dyn Clock>, SequenceWriter) {
     let args = place.args(plan);
-    let Chosen { config, rig, target, .. } = args.cameras.chosen().unwrap();
+    let Chosen { config, rig, target, .. } = args.cameras.chosen(&StatedCalibration::default()).unwrap();
     let rig = rig.unwrap();
     let (system, clock) = system(|_, _| {});
     let camera = V4l2StereoCamera::open(system, clock.clone(), &config).unwrap();
@@ -308,7 +327,7 @@ fn a_file_has_the_bytes_of_the_camera() {
         let (system_of_file, clock) = system(change);
         assert_eq!(recorded(system_of_file, clock, &args, &mut never).unwrap().pairs, 3, "{name}");
         let (system, clock) = system(change);
-        let config = args.cameras.chosen().unwrap().config;
+        let config = args.cameras.chosen(&StatedCalibration::default()).unwrap().config;
         let mut camera = V4l2StereoCamera::open(system, clock, &config).unwrap();
         let bag = StereoBag::open(&out, PairOptions::default()).unwrap();
         let expected: Vec<_> = (0..3).map(|_| camera.next_pair(Duration::from_secs(1)).unwrap()).collect();
@@ -351,7 +370,7 @@ fn a_file_has_both_views_of_one_device() {
         let (of_file, clock) = system_of_one(change);
         assert_eq!(recorded(of_file, clock, &args, &mut never).unwrap().pairs, 3, "{format}");
         let (system, clock) = system_of_one(change);
-        let config = args.cameras.chosen().unwrap().config;
+        let config = args.cameras.chosen(&StatedCalibration::default()).unwrap().config;
         let mut camera = V4l2StereoCamera::open(system, clock, &config).unwrap();
         let options = PairOptions { range: config.value_range(), ..PairOptions::default() };
         let bag = StereoBag::open(&out, options).unwrap();
