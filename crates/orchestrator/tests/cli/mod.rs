@@ -5,6 +5,7 @@ mod config;
 mod deploy;
 mod doctor;
 mod estimate;
+mod estimate_calibrations;
 mod identify;
 pub mod mock_arm;
 mod progress;
