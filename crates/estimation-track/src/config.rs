@@ -32,6 +32,9 @@ pub struct DirectTrackerConfig {
     pub correlation_min: f64,
     /// Largest standard deviation of the normal, degrees, 0.01 to 90; above: `weak-tilt`. Default 3.
     pub tilt_sigma_sure_deg: f64,
+    /// Time in which both cameras read their rows one after the other (rolling shutter), milliseconds, 0 (global shutter) to 100. A target that
+    /// moves in this time is sheared; the covariance of its rotation contains that. Default 0.
+    pub rolling_shutter_millis: f64,
 }
 
 impl Default for DirectTrackerConfig {
@@ -47,6 +50,7 @@ impl Default for DirectTrackerConfig {
             inlier_share_min: 0.35,
             correlation_min: 0.6,
             tilt_sigma_sure_deg: 3.0,
+            rolling_shutter_millis: 0.0,
         }
     }
 }
@@ -63,6 +67,7 @@ impl DirectTrackerConfig {
         INLIER_SHARE_MIN: f64 = 0.05..=0.95;
         CORRELATION_MIN: f64 = 0.0..=1.0;
         TILT_SIGMA_SURE_DEG: f64 = 0.01..=90.0;
+        ROLLING_SHUTTER_MILLIS: f64 = 0.0..=100.0;
     }
 
     /// Checks all ranges.
@@ -79,6 +84,7 @@ impl DirectTrackerConfig {
         check_range("direct.tracker.relief_sigma_px", self.relief_sigma_px, Self::RELIEF_SIGMA_PX)?;
         check_range("direct.tracker.inlier_share_min", self.inlier_share_min, Self::INLIER_SHARE_MIN)?;
         check_range("direct.tracker.correlation_min", self.correlation_min, Self::CORRELATION_MIN)?;
-        check_range("direct.tracker.tilt_sigma_sure_deg", self.tilt_sigma_sure_deg, Self::TILT_SIGMA_SURE_DEG)
+        check_range("direct.tracker.tilt_sigma_sure_deg", self.tilt_sigma_sure_deg, Self::TILT_SIGMA_SURE_DEG)?;
+        check_range("direct.tracker.rolling_shutter_millis", self.rolling_shutter_millis, Self::ROLLING_SHUTTER_MILLIS)
     }
 }

@@ -384,6 +384,7 @@ impl DirectTracker {
         }
         if ending == Ending::Found {
             target.add_error_of_motion(prior, &self.rig);
+            target.add_shear_of_readout(1e-3 * self.config.rolling_shutter_millis, prior, &self.rig);
             target.accept(&self.frame(), prior);
         } else {
             target.motion.coast(prior);

@@ -139,3 +139,55 @@ fn a_wrong_rig_is_named_beside_a_skew() {
     assert!(tracker.watch().errors().is_some_and(|errors| errors.errors.norm() < 1e-3), "{:?}", tracker.watch());
     assert!(estimates.iter().all(|estimate| estimate.status == Status::Ok && estimate.warnings.is_empty()));
 }
+
+/// Turn of a target that is at rest and then moves along the rows without turning, in degrees, and its standard deviation; seen by cameras that
+/// read their rows one after the other, in strips of images at their moments.
+fn turn_deg(stated_millis: f64) -> [f64; 2] {
+    const READOUT_S: f64 = 0.02;
+    const STRIPS: u32 = 8;
+    let rig = rectified_rig();
+    let at = |t_s: f64| -> Pose<CamLeft, Target> {
+        let turn = pb3dp_geometry::so3::exp(&Vector3::new(0.12, -0.2, 0.05));
+        Pose::from_parts(Vector3::new(0.02 + 0.15 * (t_s - 1.5 / FPS).max(0.0), -0.01, 0.45), turn)
+    };
+    let shot = |t_s: f64, frame: u32| {
+        let (mut left, mut right) = painted::pair(&rig, &at(t_s), paint, frame);
+        let rows = left.height() / STRIPS;
+        for strip in 0..STRIPS {
+            let read_s = READOUT_S * ((f64::from(strip) + 0.5) / f64::from(STRIPS) - 0.5);
+            let (from_left, from_right) = painted::pair(&rig, &at(t_s + read_s), paint, frame);
+            for (whole, from) in [(&mut left, &from_left), (&mut right, &from_right)] {
+                let part = image::imageops::crop_imm(from, 0, strip * rows, from.width(), rows).to_image();
+                image::imageops::replace(whole, &part, 0, i64::from(strip * rows));
+            }
+        }
+        (left, right)
+    };
+    let mut config = EstimatorConfig::default();
+    config.track.rolling_shutter_millis = stated_millis;
+    let mut tracker = Tracker::new(Method::Direct, &rig, &config).expect("tracker");
+    let range = SearchRange { z_min_m: 0.3, z_max_m: 0.7, tilt_max_rad: 0.8 };
+    let region = region(&rig, &at(0.0));
+    let prior = FramePrior { dt_s: Some(1.0 / FPS), ..FramePrior::default() };
+    let estimates: Vec<TrackEstimate> = (0..5)
+        .map(|frame| {
+            let (left, right) = shot(f64::from(frame) / FPS, frame);
+            let request = match frame {
+                0 => EstimateRequest::of_target(&left, &right, &region, &range),
+                _ => EstimateRequest::of_next(&left, &right, &prior),
+            };
+            tracker.estimate(request).expect("valid images")
+        })
+        .collect();
+    let pose = |index: usize| estimates[index].cam_left_from_model.expect("a pose");
+    let turned = (pose(0).inverse() * pose(4)).rotation_angle_rad();
+    let covariance = estimates[4].covariance.expect("a covariance");
+    [turned, covariance.fixed_view::<3, 3>(3, 3).trace().sqrt()].map(f64::to_degrees)
+}
+
+#[test]
+fn the_shear_of_a_rolling_shutter_is_in_the_covariance() {
+    let ([turned, unstated], [again, sigma]) = (turn_deg(0.0), turn_deg(20.0));
+    assert!((turned - again).abs() < 1e-9 && turned > 3.0 * unstated, "{turned} +- {unstated} degrees, {again}");
+    assert!(turned < 3.0 * sigma && sigma < 2.0, "{turned} +- {sigma} degrees");
+}

@@ -82,6 +82,8 @@ struct TrackerSection {
     inlier_share_min: f64,
     correlation_min: f64,
     tilt_sigma_sure_deg: f64,
+    #[serde(default)]
+    rolling_shutter_millis: f64,
 }
 
 impl DirectSection {
@@ -219,6 +221,11 @@ impl TrackerSection {
             self.tilt_sigma_sure_deg,
             DirectTrackerConfig::TILT_SIGMA_SURE_DEG,
         );
+        check.number(
+            &format!("{key}.rolling_shutter_millis"),
+            self.rolling_shutter_millis,
+            DirectTrackerConfig::ROLLING_SHUTTER_MILLIS,
+        );
         DirectTrackerConfig {
             points: whole(self.points),
             erosion_px: whole(self.erosion_px),
@@ -230,6 +237,7 @@ impl TrackerSection {
             inlier_share_min: self.inlier_share_min,
             correlation_min: self.correlation_min,
             tilt_sigma_sure_deg: self.tilt_sigma_sure_deg,
+            rolling_shutter_millis: self.rolling_shutter_millis,
         }
     }
 }

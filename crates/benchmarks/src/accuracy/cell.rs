@@ -95,6 +95,14 @@ impl Condition {
         }
     }
 
+    /// Time in which the rows of an image are read, milliseconds; the trackers know it.
+    pub fn rolling_shutter_millis(self) -> f64 {
+        match self {
+            Self::RollingShutter { readout_s } => 1e3 * readout_s,
+            _ => 0.0,
+        }
+    }
+
     /// The frame since which the motion is judged: with a skew the second one, the first whose depth is not that of a target at rest.
     pub fn first_judged(self) -> usize {
         usize::from(self.skew_s() != 0.0)

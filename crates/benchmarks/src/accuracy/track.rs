@@ -77,7 +77,8 @@ pub struct Run {
 /// If a part rejects the setup.
 pub fn follow(spec: &SequenceSpec, methods: &[Method], seed: u32, scenes: &mut SceneStore) -> anyhow::Result<Run> {
     let mut frames = Frames::new(spec, seed, scenes)?;
-    let config = super::measure::config();
+    let mut config = super::measure::config();
+    config.track.rolling_shutter_millis = spec.condition.rolling_shutter_millis();
     let mut trackers =
         methods.iter().map(|method| Tracker::new(*method, &frames.rig, &config)).collect::<Result<Vec<_>, _>>()?;
     let region = Region::Polygon { vertices_px: frames.outline_px()? };

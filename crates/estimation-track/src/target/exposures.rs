@@ -84,6 +84,21 @@ impl Target {
     }
 }
 
+impl Target {
+    /// Adds the shear of a target that moves while both cameras read their rows one after the other to the covariance. In the time between two
+    /// of its rows, an angle `a` apart, it moves by `speed readout a focal / rows`: rotated and sheared by this share of `a z`.
+    pub(crate) fn add_shear_of_readout(&mut self, readout_s: f64, prior: &FramePrior, rig: &StereoRig) {
+        let (Some(covariance), Some(step_s)) = (&mut self.covariance, prior.dt_s) else { return };
+        let (now, before) = (&self.estimate.cam_left_from_model, &self.motion.cam_left_from_model);
+        let speed_m_per_s = (now.translation_m() - before.translation_m()).norm() / step_s;
+        let left = rig.left();
+        let per_angle_s = readout_s * left.pinhole().fy / f64::from(left.size().height);
+        let turn_rad = speed_m_per_s * per_angle_s / now.translation_m().z;
+        let mut turns = covariance.fixed_view_mut::<3, 3>(3, 3);
+        turns += Matrix3::identity() * turn_rad.powi(2);
+    }
+}
+
 /// Inverse depth on a ray of the left camera of a point that was triangulated as if it had not moved.
 fn true_inverse_depth(
     inverse_depth: f64,
