@@ -19,7 +19,7 @@ use pb3dp_estimation_core::rng::SplitMix64;
 use pb3dp_geometry::StereoRig;
 
 use self::patch::{CORRELATION_MIN, CoarseSearch, GRADIENT_MIN, Patch, RADIUS, refine};
-pub use self::target::{KnownTarget, RegionRows};
+pub use self::target::{KnownTarget, MotionSigmas, RegionRows};
 use super::colour_planes::Wanted;
 use super::disparity_plane::{DisparityRange, RectifiedGeometry};
 use super::front_end::{Side, StereoFrontEnd};

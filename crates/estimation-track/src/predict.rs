@@ -96,10 +96,35 @@ impl Motion {
         let Some(step) = prior.dt_s.filter(|_| prior.skew_s != 0.0) else { return Pose::coincident() };
         let now_from_prev = prior.cam_left_prev_from_cam_left_now.unwrap_or_else(Pose::coincident).inverse();
         let of_camera = share_of(&now_from_prev, prior.skew_s / step);
-        let Some((linear, angular)) = self.velocity else { return of_camera };
         // The velocity is that of the middle of the last interval.
         let ahead = if step > GAP_MAX * self.interval { 0.0 } else { 0.5 * (self.interval + prior.skew_s) + step };
-        let pose = &expected.pose;
+        self.moved(&expected.pose, (ahead, prior.skew_s), [&of_camera, &now_from_prev])
+    }
+
+    /// As [`Self::between_exposures`] for the pair whose left image shows this pose: its own motion is known better than it was foreseen.
+    pub(super) fn between_seen_exposures(
+        &self,
+        found: &Pose<CamLeft, Model>,
+        prior: &FramePrior,
+    ) -> Option<Pose<CamLeft, CamLeft>> {
+        let step = prior.dt_s.filter(|step| prior.skew_s != 0.0 && *step <= GAP_MAX * self.interval)?;
+        self.velocity.filter(|_| !self.has_coasted)?;
+        let now_from_prev = prior.cam_left_prev_from_cam_left_now.unwrap_or_else(Pose::coincident).inverse();
+        let of_camera = share_of(&now_from_prev, prior.skew_s / step);
+        let mut learnt = *self;
+        learnt.learn(found, prior);
+        let ahead = 0.5 * (step + prior.skew_s);
+        Some(learnt.moved(found, (ahead, prior.skew_s), [&of_camera, &Pose::coincident()]))
+    }
+
+    /// Motion of a target at this pose in a time, that long after the middle of the last interval.
+    fn moved(
+        &self,
+        pose: &Pose<CamLeft, Model>,
+        (ahead, duration): (f64, f64),
+        [of_camera, now_from_prev]: [&Pose<CamLeft, CamLeft>; 2],
+    ) -> Pose<CamLeft, CamLeft> {
+        let Some((linear, angular)) = self.velocity else { return *of_camera };
         // The left image shows motions across the ray best. Errors of the distance and of the tilts come back in the next frame, and would
         // grow if they were extrapolated.
         let ray = now_from_prev.inverse().transform_vector(&pose.translation_m().normalize());
@@ -107,9 +132,9 @@ impl Motion {
         let across = |vector: Vector3<f64>| vector - along(vector);
         let shift = across(linear + self.acceleration * ahead) + along(self.steady.0);
         let turn = along(angular) + across(self.steady.1);
-        let [shift, turn] = [shift, turn].map(|velocity| now_from_prev.transform_vector(&(velocity * prior.skew_s)));
+        let [shift, turn] = [shift, turn].map(|velocity| now_from_prev.transform_vector(&(velocity * duration)));
         let later = Pose::from_parts(pose.translation_m() + shift, so3::exp(&turn) * pose.rotation());
-        let motion = of_camera * later * pose.inverse();
+        let motion = *of_camera * later * pose.inverse();
         if is_plausible_step(&motion) { motion } else { Pose::coincident() }
     }
 

@@ -17,7 +17,7 @@ use pb3dp_estimation_track::DirectTrackerConfig;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
 
-use crate::rig_watch::{KnownTarget, RigWatch};
+use crate::rig_watch::{KnownTarget, MotionSigmas, RigWatch};
 use crate::skew_watch::SkewWatch;
 
 use pb3dp_estimation_core::method::Answer;
@@ -180,6 +180,7 @@ impl Estimator {
             inverse_depth_plane: pose.inverse_depth_plane,
             row_offset_px: estimate.row_offset_px.unwrap_or(0.0),
             cam_left_later_from_cam_left: Pose::coincident(),
+            motion_sigmas: MotionSigmas::default(),
         };
         self.watch.look_at_target((request.left, request.right), &target);
         correct(&mut *self.inner, &self.watch, (self.method, true), &mut self.rig)?;
@@ -287,6 +288,8 @@ const JUMP_SIGMAS: f64 = 5.0;
 struct Steps {
     last: Option<Pose<CamLeft, Model>>,
     step: Option<Vector6<f64>>,
+    /// Change of the newest step from the one before.
+    change: Option<Vector6<f64>>,
 }
 
 impl Steps {
@@ -295,7 +298,7 @@ impl Steps {
         let pose = estimate.cam_left_from_model;
         let step = pose.zip(self.last).map(|(now, last)| (last.inverse() * now).log());
         let change = step.zip(self.step).map(|(now, before)| now - before);
-        (self.last, self.step) = (pose, step);
+        (self.last, self.step, self.change) = (pose, step, change);
         let Some((change, pose)) = change.zip(pose) else { return false };
         let variances = estimate.covariance.map_or(Vector6::zeros(), |covariance| covariance.diagonal());
         let is_beyond = |first: usize, limit: f64| {
@@ -417,10 +420,13 @@ impl Tracker {
         estimate: &mut TrackEstimate,
     ) -> Result<(), EstimationError> {
         let Some(pose) = estimate.cam_left_from_model else { return Ok(()) };
-        let motion = match (self.shows_rig(), self.steps.step, request.prior.dt_s) {
-            (true, ..) => Pose::coincident(),
-            (false, Some(step), Some(dt_s)) if dt_s > 0.0 => {
-                pose * Pose::exp(&(step * (request.prior.skew_s / dt_s))) * pose.inverse()
+        let (motion, unforeseen) = match (self.shows_rig(), self.steps.step.zip(self.steps.change), request.prior.dt_s)
+        {
+            (true, ..) => (Pose::coincident(), Vector6::zeros()),
+            (false, Some((step, change)), Some(dt_s)) if dt_s > 0.0 => {
+                let intervals = request.prior.skew_s / dt_s;
+                let unforeseen = change * (0.5 * (1.0 + intervals) * intervals);
+                (pose * Pose::exp(&(step * intervals + unforeseen)) * pose.inverse(), unforeseen)
             }
             _ => return Ok(()),
         };
@@ -430,6 +436,7 @@ impl Tracker {
             inverse_depth_plane: normal / normal.dot(&pose.translation_m()),
             row_offset_px: 0.0,
             cam_left_later_from_cam_left: motion,
+            motion_sigmas: MotionSigmas::of(&unforeseen, pose.translation_m().z),
         };
         let (knew, is_new) = (self.watch.has_moved(), request.target.is_some());
         self.pairs = 0;

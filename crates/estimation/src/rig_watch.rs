@@ -10,7 +10,7 @@ use pb3dp_estimation_core::estimate::EstimateWarning;
 use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::rig_errors::{MOVED_FROM, PITCH, ROLL, RigErrors, SCALE};
 use pb3dp_estimation_direct::row_measurement::is_enough;
-pub use pb3dp_estimation_direct::row_measurement::{KnownTarget, MATCHES_MIN, RowMeter};
+pub use pb3dp_estimation_direct::row_measurement::{KnownTarget, MATCHES_MIN, MotionSigmas, RowMeter};
 use pb3dp_geometry::{Rectification, StereoRig};
 
 /// Row offset anywhere in the image above which a calibration is not used: 1.5 px, or 2 mrad if that is more. Chosen with figures: real rigs

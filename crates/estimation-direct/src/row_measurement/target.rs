@@ -1,9 +1,9 @@
 //! Rows of a target whose place in the right image is known but for errors of the rig.
 
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Vector2, Vector3, Vector6};
 use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::region::{Region, RegionConfig, RegionMask};
-use pb3dp_estimation_core::rig_errors::RigErrors;
+use pb3dp_estimation_core::rig_errors::{OFFSET, ROLL, RigErrors, SCALE};
 use pb3dp_estimation_core::row_offset::RowOffset;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, CamLeftRect};
@@ -38,6 +38,32 @@ pub struct KnownTarget<'a> {
     pub row_offset_px: f64,
     /// Its motion from the left exposure to the right one.
     pub cam_left_later_from_cam_left: Pose<CamLeft, CamLeft>,
+    /// How well that is known.
+    pub motion_sigmas: MotionSigmas,
+}
+
+/// Standard deviations of a motion by what it does to the rows of a target: like an error of the rig. Tangents of angles, radians, and a ratio.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct MotionSigmas {
+    offset: f64,
+    turn: f64,
+    scale: f64,
+}
+
+impl MotionSigmas {
+    /// Of an unknown motion `[rho; phi]` (metres, radians) of a target at a depth.
+    pub fn of(motion: &Vector6<f64>, depth_m: f64) -> Self {
+        let [_, y, z, _, _, turn] = (*motion).into();
+        Self { offset: y / depth_m, turn, scale: z / depth_m }
+    }
+
+    fn added_to(self, errors: RigErrors) -> RigErrors {
+        let mut covariance = errors.covariance;
+        for (index, sigma) in [(OFFSET, self.offset), (ROLL, self.turn), (SCALE, self.scale)] {
+            covariance[(index, index)] += sigma * sigma;
+        }
+        RigErrors { covariance, ..errors }
+    }
 }
 
 /// Row offset of a part of the image, tangents of angles.
@@ -95,7 +121,7 @@ impl RowMeter {
     pub fn measure_target(&self, images: (ImageView<'_>, ImageView<'_>), target: &KnownTarget<'_>) -> RigErrors {
         self.target_matches(images, target).map_or(self.nothing, |matches| {
             let found = fit(&matches, self.front_end.geometry(), self.nothing);
-            if found.spread_px > SPREAD_DOUBT_PX { self.nothing } else { found }
+            if found.spread_px > SPREAD_DOUBT_PX { self.nothing } else { target.motion_sigmas.added_to(found) }
         })
     }
 

@@ -15,6 +15,8 @@ use crate::predict::{Expected, share_of};
 /// Variance of a velocity that is extrapolated from three poses, per variance of a pose and square of an interval: the velocity 1.5
 /// intervals after the middle of the last one is 2.5, -4 and 1.5 times the poses, and the sum of the squares is this.
 const EXTRAPOLATED: f64 = 2.5 * 2.5 + 4.0 * 4.0 + 1.5 * 1.5;
+/// Share of an unforeseen change of the motion that is still unknown when it was seen. Chosen with figures: swings of 200 mm/s with 20 ms.
+const UNKNOWN_SHARE: f64 = 0.5;
 /// Distance of the rays that determine a corrected plane.
 const RAY_STEP: f64 = 0.1;
 
@@ -69,18 +71,31 @@ impl Target {
         self.place_frame(&frame)
     }
 
-    /// Adds the error of the motion between the exposures to the covariance: depth follows from the difference of both images.
-    pub(crate) fn add_error_of_motion(&mut self, prior: &FramePrior, rig: &StereoRig) {
+    /// Adds the error of the motion between the exposures to the covariance: depth follows from the difference of both images. `unforeseen`: what
+    /// this frame has changed of the motion that was foreseen, of which a share remains unknown.
+    pub(crate) fn add_error_of_motion(
+        &mut self,
+        prior: &FramePrior,
+        rig: &StereoRig,
+        unforeseen: &Pose<CamLeft, CamLeft>,
+    ) {
         let (Some(covariance), Some(step_s)) = (&mut self.covariance, prior.dt_s) else { return };
         let pose = &self.estimate.cam_left_from_model;
         let baseline = rig.right_centre_in_cam_left();
         let along = pose.inverse().transform_vector(&baseline.normalize());
         let place = covariance.fixed_view::<3, 3>(0, 0).into_owned();
-        let variance = EXTRAPOLATED * (prior.skew_s / step_s).clamp(-1.0, 1.0).powi(2) * along.dot(&(place * along));
-        let depth = pose.translation_m().z / baseline.norm();
+        let origin = pose.translation_m();
+        let shifted = unforeseen.transform_point(&origin.into()).coords - origin;
+        let variance = EXTRAPOLATED * (prior.skew_s / step_s).clamp(-1.0, 1.0).powi(2) * along.dot(&(place * along))
+            + (UNKNOWN_SHARE * shifted.dot(&baseline.normalize())).powi(2);
+        let depth = origin.z / baseline.norm();
+        let turn_variance = (UNKNOWN_SHARE * depth * unforeseen.rotation_angle_rad()).powi(2);
         let ray = pose.inverse().transform_vector(&pose.translation_m().normalize());
         let mut shift = covariance.fixed_view_mut::<3, 3>(0, 0);
         shift += ray * ray.transpose() * (depth * depth * variance);
+        for axis in [3, 4] {
+            covariance[(axis, axis)] += turn_variance;
+        }
     }
 }
 
