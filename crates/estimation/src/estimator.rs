@@ -387,7 +387,7 @@ impl Tracker {
         }
         self.was_sure = is_sure;
         if let Some(skew) = self.skew.as_mut().filter(|skew| !is_stated && !skew.is_done()) {
-            skew.take((left, right), dt_s.unwrap_or(USUAL_INTERVAL_S), &estimate);
+            skew.take((left, right), (dt_s.unwrap_or(USUAL_INTERVAL_S), self.watched_skew_s), &estimate);
             estimate.warnings.extend(skew.news());
         }
         if is_new {

@@ -56,6 +56,7 @@ struct Seen {
     at_s: f64,
     /// Column and row of the target in the rectified left image, tangents.
     place: Vector2<f64>,
+    assumed_s: f64,
     rows: Option<RegionRows>,
     depth_m: f64,
     /// Rotation of the target, and standard deviations of its depth and its tilt.
@@ -69,6 +70,8 @@ struct Sample {
     place: Vector2<f64>,
     speed: f64,
     acceleration: f64,
+    /// The skew with which the target was followed, seconds: its place is that of the middle between both images if it was none.
+    assumed_s: f64,
     offset: f64,
     sigma: f64,
 }
@@ -109,8 +112,13 @@ impl SkewWatch {
         self.pairs >= PAIRS_MAX || self.skew().is_some_and(|skew| skew.sigma_s < ENOUGH_S)
     }
 
-    /// Takes a tracked pair, `dt_s` after the one before.
-    pub fn take(&mut self, images: (ImageView<'_>, ImageView<'_>), dt_s: f64, estimate: &TrackEstimate) {
+    /// Takes a pair, `dt_s` after the one before, that was tracked with an assumed skew.
+    pub fn take(
+        &mut self,
+        images: (ImageView<'_>, ImageView<'_>),
+        (dt_s, assumed_s): (f64, f64),
+        estimate: &TrackEstimate,
+    ) {
         if dt_s <= 0.0 {
             // Another round of a recording.
             self.newest.clear();
@@ -130,7 +138,7 @@ impl SkewWatch {
             |index: usize| estimate.covariance.map_or(0.0, |covariance| covariance[(index, index)].max(0.0).sqrt());
         let sigmas = [sigma(2), sigma(3).hypot(sigma(4))];
         let place = self.meter.left_ray(&pose.translation_m());
-        self.newest.push_back(Seen { at_s: self.at_s, place, rows, depth_m, turn: pose.rotation(), sigmas });
+        self.newest.push_back(Seen { at_s: self.at_s, place, assumed_s, rows, depth_m, turn: pose.rotation(), sigmas });
         self.note_cost();
         self.note_rows();
     }
@@ -161,7 +169,15 @@ impl SkewWatch {
         let (Some((speed, _)), Some(seen)) = (self.speed(middle), self.newest.get(middle)) else { return };
         let (at_s, place, Some(rows)) = (seen.at_s, seen.place, seen.rows) else { return };
         let acceleration = acceleration(self.newest.iter().map(|seen| (seen.at_s - at_s, seen.place.y)));
-        self.samples.push(Sample { place, speed: speed.y, acceleration, offset: rows.offset, sigma: rows.sigma });
+        let assumed_s = seen.assumed_s;
+        self.samples.push(Sample {
+            place,
+            speed: speed.y,
+            acceleration,
+            assumed_s,
+            offset: rows.offset,
+            sigma: rows.sigma,
+        });
     }
 
     /// The skew so far; `None` without a pair that shows the rows of the target.
@@ -176,9 +192,8 @@ impl SkewWatch {
         for _ in 0..5 {
             let (mut information, mut pull) = (prior, Vector4::zeros());
             let (mut squares, mut count) = (0.0, 0.0);
-            for Sample { place, speed, acceleration, offset, sigma } in &self.samples {
-                let by = Vector4::new(1.0, speed + acceleration * found.y, place.x, place.y);
-                let offset = offset + 0.5 * acceleration * found.y.powi(2);
+            for Sample { place, speed, acceleration, assumed_s, offset, sigma } in &self.samples {
+                let by = Vector4::new(1.0, speed + 0.5 * assumed_s * acceleration, place.x, place.y);
                 let residual = (offset - by.dot(&found)) / sigma;
                 let weight = (HUBER / residual.abs().max(HUBER)).min(1.0);
                 information += by * by.transpose() * (weight / sigma.powi(2));
