@@ -192,6 +192,9 @@ impl Estimator {
     /// # Errors
     /// See [`EstimationMethod::visible_surface`].
     pub fn visible_surface(&mut self, request: &EstimateRequest<'_>) -> Result<Vec<VisiblePoint>, EstimationError> {
+        if self.watch.errors().is_none() {
+            self.look(request.left, request.right)?;
+        }
         self.inner.visible_surface(request)
     }
 
