@@ -39,6 +39,14 @@ impl Follower {
         self.marked = None;
     }
 
+    /// For pairs whose skew is stated, see [`Tracker::check_skew`].
+    ///
+    /// # Errors
+    /// A rig that cannot be rectified.
+    pub fn check_skew(&mut self) -> Result<(), EstimationError> {
+        self.tracker.check_skew()
+    }
+
     /// For pairs whose skew nobody has stated, see [`Tracker::watch_skew`].
     ///
     /// # Errors

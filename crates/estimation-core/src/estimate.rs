@@ -59,8 +59,8 @@ pub enum EstimateWarning {
     },
     /// The images do not show whether the calibration is right.
     #[error(
-        "too few points have texture to check the calibration with these images: with a wrong one the answer would look the same, and the \
-         standard deviations allow only for cameras that have shifted a little"
+        "these images do not show whether the calibration is right, because too few of their points can be compared: with a wrong one the \
+         answer would look the same"
     )]
     RigUnchecked,
     /// The right camera exposes at another time than the left one.
@@ -72,6 +72,19 @@ pub enum EstimateWarning {
         /// Middle of the right exposure minus middle of the left one, milliseconds.
         skew_ms: f64,
         /// Standard deviation, milliseconds.
+        sigma_ms: f64,
+    },
+    /// The rows of a moving target contradict the skew that was stated.
+    #[error(
+        "the rows of the target show a skew of {skew_ms:+.1} ± {sigma_ms:.1} ms, and {stated_ms:+.1} ms are stated: check value and sign \
+         (--skew), or leave it out"
+    )]
+    SkewContradicted {
+        /// What was stated, milliseconds.
+        stated_ms: f64,
+        /// What the rows show, milliseconds.
+        skew_ms: f64,
+        /// Its standard deviation, milliseconds.
         sigma_ms: f64,
     },
     /// Nothing tells whether both cameras expose at once.

@@ -51,7 +51,7 @@ pub const MOVED_FROM: f64 = 0.9;
 pub struct RigErrors {
     /// What the rig really is, minus what the calibration states.
     pub errors: ErrorVector,
-    /// Covariance of `errors`; that of [`MOVED_SIGMAS`] if nothing was measured.
+    /// Covariance of `errors`. Of a measurement that found nothing it is that of [`MOVED_SIGMAS`].
     pub covariance: ErrorCovariance,
     /// Number of points that were found in both images and agree with each other.
     pub matches: usize,

@@ -271,7 +271,7 @@ impl RowMeter {
             wanted: Wanted::Luminance,
             search_area_px: usize::MAX,
         };
-        let (matches, textured) = self.matches(&source, |_| source.disparity_px, (level, reach), pyramid);
+        let (matches, textured) = self.matches(&source, |_| Some(source.disparity_px), (level, reach), pyramid);
         (fit(&matches, geometry, self.nothing), textured)
     }
 
@@ -280,7 +280,7 @@ impl RowMeter {
     fn matches(
         &self,
         source: &PyramidSource<'_>,
-        disparity_px: impl Fn(&Vector2<f64>) -> DisparityRange,
+        disparity_px: impl Fn(&Vector2<f64>) -> Option<DisparityRange>,
         (coarse, reach): (usize, i64),
         pyramid: &mut RegionPyramid,
     ) -> (Vec<RowMatch>, usize) {
@@ -301,7 +301,7 @@ impl RowMeter {
             let point = Vector2::new(x as i64, y as i64);
             let Some(patch) = textured_patch(level, point) else { continue };
             textured += 1;
-            let range = disparity_px(&level.full_from_level(&point.map(|at| at as f64)));
+            let Some(range) = disparity_px(&level.full_from_level(&point.map(|at| at as f64))) else { continue };
             let Some(mut found) = find_again(levels, &mut search, &patch, (point, range)) else { continue };
             // The pyramid shows the right image with its rows moved.
             found.right_px.y += source.rows.at(&found.right_px);

@@ -352,7 +352,7 @@ impl DirectTracker {
         let mut expected = target.motion.expect(prior);
         let motion = target.motion.between_exposures(&expected, prior);
         self.rig_at_rest = self.rig.with_motion_between_exposures(&motion);
-        let (mut ending, mut unforeseen) = (Ending::OutOfSight, Pose::coincident());
+        let (mut ending, mut unforeseen) = (Ending::OutOfSight, None);
         if target.lost_frames == 0 {
             let margin = if target.motion.is_known() { MARGIN_PX } else { MARGIN_UNSURE_PX };
             let margin = margin.max(target.margin_of_periods_px(self.rig.left().pinhole().fx));
@@ -363,16 +363,12 @@ impl DirectTracker {
                 self.rig_at_rest = rig_at_rest;
                 expected = Expected { pose, coasted: pose };
             }
+            if let Some(seen) = target.see_motion(&expected, &self.frame(), prior, may_continue) {
+                unforeseen = Some(motion.inverse() * seen);
+                self.rig_at_rest = self.rig.with_motion_between_exposures(&seen);
+            }
             let frame = self.frame();
             ending = target.follow(&expected, &frame, may_continue);
-            let found = target.estimate.cam_left_from_model;
-            let seen = target.motion.between_seen_exposures(&found, prior).filter(|_| ending == Ending::Found);
-            if let Some(seen) = seen {
-                unforeseen = motion.inverse() * seen;
-                self.rig_at_rest = self.rig.with_motion_between_exposures(&seen);
-                let frame = self.frame();
-                ending = target.follow(&Expected { pose: found, coasted: found }, &frame, may_continue);
-            }
             if ending != Ending::Found {
                 target.estimate = before;
             }
@@ -391,7 +387,7 @@ impl DirectTracker {
             }
         }
         if ending == Ending::Found {
-            target.add_error_of_motion(prior, &self.rig, &unforeseen);
+            target.add_error_of_motion(prior, &self.rig, unforeseen.as_ref());
             target.add_shear_of_readout(1e-3 * self.config.rolling_shutter_millis, prior, &self.rig);
             target.accept(&self.frame(), prior);
         } else {

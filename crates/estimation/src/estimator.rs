@@ -148,11 +148,12 @@ impl Estimator {
     /// # Errors
     /// See [`EstimationMethod::estimate`].
     pub fn estimate(&mut self, mut request: EstimateRequest<'_>) -> Result<PlaneEstimate, EstimationError> {
-        if self.watch.errors().is_none() {
+        if !self.watch.has_seen_whole() {
             self.look(request.left, request.right)?;
         }
         let mut estimate = self.inner.answer(&mut request)?;
-        if self.watch.errors().is_none() && self.look_at_target(&request, &estimate)? {
+        let is_another = self.watch.errors().is_none() && self.look_at_target(&request, &estimate)?;
+        if is_another && request.deadline.may_continue() {
             estimate = self.inner.answer(&mut request)?;
         }
         if request.deadline.is_over() {
@@ -168,7 +169,7 @@ impl Estimator {
         Ok(estimate)
     }
 
-    /// Compares the rows of the target with the calibration; whether they show the rig.
+    /// Compares the rows of the target with the calibration; whether that changes what the method knows of the rig.
     fn look_at_target(
         &mut self,
         request: &EstimateRequest<'_>,
@@ -183,8 +184,8 @@ impl Estimator {
             motion_sigmas: MotionSigmas::default(),
         };
         self.watch.look_at_target((request.left, request.right), &target);
-        correct(&mut *self.inner, &self.watch, (self.method, true), &mut self.rig)?;
-        Ok(self.watch.errors().is_some())
+        let is_changed = correct(&mut *self.inner, &self.watch, (self.method, true), &mut self.rig)?;
+        Ok(is_changed && self.watch.errors().is_some())
     }
 
     /// The visible surface of a region, see [`EstimationMethod::visible_surface`].
@@ -235,13 +236,13 @@ impl Estimator {
     }
 }
 
-/// Hands a method what is known of the rig.
+/// Hands a method what is known of the rig, if it can use that; whether it does.
 fn correct<A: Answer>(
     inner: &mut dyn EstimationMethod<Answer = A>,
     watch: &RigWatch,
     (method, may_restart): (Method, bool),
     rig: &mut StereoRig,
-) -> Result<(), EstimationError> {
+) -> Result<bool, EstimationError> {
     let is_wanted = match method {
         Method::Direct => true,
         Method::Published => may_restart && watch.has_moved() && rig != watch.rig(),
@@ -250,7 +251,7 @@ fn correct<A: Answer>(
         inner.correct_rig(watch.rig(), watch.believed())?;
         *rig = *watch.rig();
     }
-    Ok(())
+    Ok(is_wanted)
 }
 
 /// Tracker for sequences, with any method. The pairs are compared with the calibration from time to time, and after a jump of the pose or a
@@ -268,6 +269,8 @@ pub struct Tracker {
     steps: Steps,
     /// For pairs whose skew nobody has stated.
     skew: Option<Box<SkewWatch>>,
+    /// Whether the skew of all pairs is stated, also if it is zero.
+    is_skew_stated: bool,
     /// The skew of the pairs that `watch` has seen, seconds.
     watched_skew_s: f64,
     /// Whether a warning has said that the images do not show the rig.
@@ -290,18 +293,22 @@ const JUMP_SIGMAS: f64 = 5.0;
 #[derive(Clone, Copy, Debug, Default)]
 struct Steps {
     last: Option<Pose<CamLeft, Model>>,
-    step: Option<Vector6<f64>>,
-    /// Change of the newest step from the one before.
-    change: Option<Vector6<f64>>,
+    /// The step, `[rho; phi]` in axes of `model`, and its duration, seconds.
+    step: Option<(Vector6<f64>, f64)>,
+    /// Velocity in the middle of the step per second, and its change per second.
+    motion: Option<[Vector6<f64>; 2]>,
 }
 
 impl Steps {
     /// Takes the next estimate; whether its pose has jumped.
-    fn has_jumped(&mut self, estimate: &TrackEstimate) -> bool {
+    fn has_jumped(&mut self, estimate: &TrackEstimate, dt_s: f64) -> bool {
         let pose = estimate.cam_left_from_model;
-        let step = pose.zip(self.last).map(|(now, last)| (last.inverse() * now).log());
-        let change = step.zip(self.step).map(|(now, before)| now - before);
-        (self.last, self.step, self.change) = (pose, step, change);
+        let step = pose.zip(self.last).map(|(now, last)| ((last.inverse() * now).log(), dt_s));
+        let change = step.zip(self.step).map(|((now, dt_s), (before, before_s))| now - before * (dt_s / before_s));
+        self.motion = step.zip(self.step).map(|((now, dt_s), (before, before_s))| {
+            [now / dt_s, (now / dt_s - before / before_s) / (0.5 * (dt_s + before_s))]
+        });
+        (self.last, self.step) = (pose, step);
         let Some((change, pose)) = change.zip(pose) else { return false };
         let variances = estimate.covariance.map_or(Vector6::zeros(), |covariance| covariance.diagonal());
         let is_beyond = |first: usize, limit: f64| {
@@ -309,6 +316,13 @@ impl Steps {
             change.fixed_rows::<3>(first).norm() > limit.max(JUMP_SIGMAS * sigma)
         };
         is_beyond(0, JUMP_SHARE * pose.translation_m().norm()) || is_beyond(3, JUMP_RAD)
+    }
+
+    /// The motion in a time after the last pose, and the part of it that its acceleration makes.
+    fn after(&self, duration_s: f64) -> Option<[Vector6<f64>; 2]> {
+        let ([velocity, acceleration], (_, dt_s)) = self.motion.zip(self.step)?;
+        let unforeseen = acceleration * (0.5 * (dt_s + duration_s) * duration_s);
+        Some([velocity * duration_s + unforeseen, unforeseen])
     }
 }
 
@@ -328,6 +342,7 @@ impl Tracker {
             was_sure: false,
             steps: Steps::default(),
             skew: None,
+            is_skew_stated: false,
             watched_skew_s: 0.0,
             is_told_unchecked: false,
         })
@@ -351,6 +366,15 @@ impl Tracker {
         Ok(())
     }
 
+    /// Compares the skew that is stated for all pairs with the motion of the target, and warns if it contradicts.
+    ///
+    /// # Errors
+    /// A rig that cannot be rectified.
+    pub fn check_skew(&mut self) -> Result<(), EstimationError> {
+        self.is_skew_stated = true;
+        self.watch_skew(true)
+    }
+
     /// What the pairs so far have shown of their skew.
     pub fn skew(&self) -> Option<&SkewWatch> {
         self.skew.as_deref()
@@ -362,7 +386,9 @@ impl Tracker {
     /// See [`EstimationMethod::estimate`].
     pub fn estimate(&mut self, mut request: EstimateRequest<'_>) -> Result<TrackEstimate, EstimationError> {
         let (left, right, is_new) = (request.left, request.right, request.target.is_some());
-        let (is_stated, dt_s) = (request.prior.skew_s != 0.0, request.prior.dt_s);
+        request.prior = request.prior.plausible();
+        let (is_stated, dt_s) =
+            (self.is_skew_stated || request.prior.skew_s != 0.0, request.prior.dt_s.unwrap_or(USUAL_INTERVAL_S));
         if let Some(found) = self.skew.as_ref().filter(|_| !is_stated).and_then(|skew| skew.found()) {
             request.prior.skew_s = found.skew_s;
         }
@@ -376,7 +402,10 @@ impl Tracker {
             self.look(left, right, is_new)?;
         }
         let mut estimate = self.inner.answer(&mut request)?;
-        let has_jumped = self.steps.has_jumped(&estimate);
+        if is_new {
+            self.steps = Steps::default();
+        }
+        let has_jumped = self.steps.has_jumped(&estimate, dt_s);
         if is_due && (!shows_rig || self.watch.errors().is_none()) {
             self.look_at_target(&mut request, &mut estimate)?;
         }
@@ -389,9 +418,10 @@ impl Tracker {
             self.look(left, right, false)?;
         }
         self.was_sure = is_sure;
-        if let Some(skew) = self.skew.as_mut().filter(|skew| !is_stated && !skew.is_done()) {
-            skew.take((left, right), (dt_s.unwrap_or(USUAL_INTERVAL_S), self.watched_skew_s), &estimate);
-            estimate.warnings.extend(skew.news());
+        if let Some(skew) = self.skew.as_mut().filter(|skew| is_stated == self.is_skew_stated && !skew.is_done()) {
+            skew.take((left, right), (dt_s, request.prior.skew_s), &estimate);
+            let news = if self.is_skew_stated { skew.contradiction(request.prior.skew_s) } else { skew.news() };
+            estimate.warnings.extend(news);
         }
         if is_new {
             estimate.warnings.extend(self.watch.warning());
@@ -412,7 +442,7 @@ impl Tracker {
         self.watched_skew_s = skew_s;
         let calibrated = *self.watch.calibrated();
         self.watch = RigWatch::new(&calibrated)?;
-        correct(&mut *self.inner, &self.watch, (self.method, false), &mut self.rig)
+        correct(&mut *self.inner, &self.watch, (self.method, false), &mut self.rig).map(drop)
     }
 
     /// Compares the rows of the target, whose motion between the exposures is known, with the calibration. A new target is estimated again if
@@ -423,28 +453,26 @@ impl Tracker {
         estimate: &mut TrackEstimate,
     ) -> Result<(), EstimationError> {
         let Some(pose) = estimate.cam_left_from_model else { return Ok(()) };
-        let (motion, unforeseen) = match (self.shows_rig(), self.steps.step.zip(self.steps.change), request.prior.dt_s)
-        {
-            (true, ..) => (Pose::coincident(), Vector6::zeros()),
-            (false, Some((step, change)), Some(dt_s)) if dt_s > 0.0 => {
-                let intervals = request.prior.skew_s / dt_s;
-                let unforeseen = change * (0.5 * (1.0 + intervals) * intervals);
-                (pose * Pose::exp(&(step * intervals + unforeseen)) * pose.inverse(), unforeseen)
-            }
-            _ => return Ok(()),
+        let [motion, unforeseen] = match (self.shows_rig(), self.steps.after(request.prior.skew_s)) {
+            (true, _) => [Vector6::zeros(); 2],
+            (false, Some(motion)) => motion,
+            (false, None) => return Ok(()),
         };
+        let in_cam_left = |part: usize| pose.transform_vector(&unforeseen.fixed_rows::<3>(part).into_owned());
+        let ([x, y, z], [roll, pitch, yaw]) = (in_cam_left(0).into(), in_cam_left(3).into());
+        let unforeseen = Vector6::new(x, y, z, roll, pitch, yaw);
         let normal = pose.transform_vector(&Vector3::z());
         let target = KnownTarget {
             region: &Region::Polygon { vertices_px: estimate.outline_px.clone() },
             inverse_depth_plane: normal / normal.dot(&pose.translation_m()),
             row_offset_px: 0.0,
-            cam_left_later_from_cam_left: motion,
+            cam_left_later_from_cam_left: pose * Pose::exp(&motion) * pose.inverse(),
             motion_sigmas: MotionSigmas::of(&unforeseen, pose.translation_m().z),
         };
         let (knew, is_new) = (self.watch.has_moved(), request.target.is_some());
         self.pairs = 0;
         self.watch.look_at_target((request.left, request.right), &target);
-        let is_another = is_new && self.watch.has_moved() && !knew;
+        let is_another = is_new && self.watch.has_moved() && !knew && request.deadline.may_continue();
         if is_another {
             let calibrated = *self.watch.calibrated();
             self.inner.set_rig(&calibrated)?;
@@ -452,6 +480,7 @@ impl Tracker {
         correct(&mut *self.inner, &self.watch, (self.method, is_new), &mut self.rig)?;
         if is_another {
             *estimate = self.inner.answer(request)?;
+            self.steps = Steps { last: estimate.cam_left_from_model, ..Steps::default() };
         }
         if self.watch.errors().is_none() && !self.is_told_unchecked {
             self.is_told_unchecked = true;
@@ -466,7 +495,7 @@ impl Tracker {
             self.watch.allow_time();
         }
         self.watch.look(left, right)?;
-        correct(&mut *self.inner, &self.watch, (self.method, is_new), &mut self.rig)
+        correct(&mut *self.inner, &self.watch, (self.method, is_new), &mut self.rig).map(drop)
     }
 
     /// What the pairs so far have shown of the rig.

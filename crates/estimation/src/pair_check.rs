@@ -186,7 +186,8 @@ impl PairCheck {
             ),
             PairVerdict::RowsDisagree { offset_px } => format!(
                 "{agreeing} of {matches} matching patches lie {:.1} px {} the row or line that the calibration predicts (spread \
-                 {:.1} px): the cameras may have moved since, or it may belong to others; calibrate again, or give the right file",
+                 {:.1} px): the cameras may have moved since they were calibrated, or the file may belong to other cameras; calibrate again, or give the \
+                 right file",
                 offset_px.abs(),
                 if offset_px > 0.0 { "below" } else { "above" },
                 self.row_spread_px.unwrap_or_default()

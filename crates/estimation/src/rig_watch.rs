@@ -11,7 +11,7 @@ use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::rig_errors::{MOVED_FROM, PITCH, ROLL, RigErrors, SCALE};
 use pb3dp_estimation_direct::row_measurement::is_enough;
 pub use pb3dp_estimation_direct::row_measurement::{KnownTarget, MATCHES_MIN, MotionSigmas, RowMeter};
-use pb3dp_geometry::{Rectification, StereoRig};
+use pb3dp_geometry::{Distortion, Rectification, StereoRig};
 
 /// Row offset anywhere in the image above which a calibration is not used: 1.5 px, or 2 mrad if that is more. Chosen with figures: real rigs
 /// stay below 0.6 px; a yaw of 2 mrad, which no row shows, is an error of 1 % of the depth at a distance of five baselines.
@@ -30,6 +30,8 @@ const RATE: f64 = 0.2;
 /// Looks without a result that search anew near other rigs, which takes up to 0.1 s; later ones take the quarter. Chosen by hand, not varied: a
 /// live loop has 33 ms per pair.
 const WIDE_LOOKS: u32 = 2;
+/// Rotation of the cameras against each other from which rectified images differ from raw ones: 2 px at a focal length of 740 px.
+const TURNED_FROM_RAD: f64 = 3e-3;
 /// A point of the field is judged if its offset is larger than the limit by this many standard deviations.
 const SURE_SIGMAS: f64 = 2.0;
 
@@ -48,6 +50,8 @@ pub struct RigWatch {
     errors: RigErrors,
     corrected: StereoRig,
     has_moved: bool,
+    /// Whether a whole image has shown the rig, and not a target alone.
+    has_seen_whole: bool,
     /// What the newest looks show instead of `measured`, and their number.
     other: Option<(RigErrors, u32)>,
     /// Looks that agree with `measured`, without a break.
@@ -76,6 +80,7 @@ impl RigWatch {
             errors: nothing.unseen(),
             corrected: *rig,
             has_moved: false,
+            has_seen_whole: false,
             other: None,
             agreeing: 0,
             is_knocked: false,
@@ -102,6 +107,7 @@ impl RigWatch {
         self.wide_looks = self.wide_looks.saturating_sub(1);
         let measured = self.meter.measure(left, right, (!is_wide).then_some(&self.measured))?;
         if is_enough(&measured) {
+            self.has_seen_whole = true;
             self.take(&measured);
         }
         if self.are_rectified.is_none() && (self.looks == 0 || self.contradicts()) {
@@ -131,7 +137,9 @@ impl RigWatch {
     ) -> Result<Option<bool>, EstimationError> {
         let rig = &self.rectification.rig;
         let sizes = [rig.left().size(), rig.right().size()];
-        if *rig == self.calibrated || sizes != [self.calibrated.left().size(), self.calibrated.right().size()] {
+        if !differs_beyond_focal_lengths(&self.calibrated)
+            || sizes != [self.calibrated.left().size(), self.calibrated.right().size()]
+        {
             return Ok(Some(false));
         }
         let meter = RowMeter::new(rig, Kernels::best())?;
@@ -195,6 +203,11 @@ impl RigWatch {
     /// Whether the rig is another one than that which was calibrated, beyond doubt.
     pub fn has_moved(&self) -> bool {
         self.has_moved
+    }
+
+    /// Whether a whole image has shown the rig, and not a target alone.
+    pub fn has_seen_whole(&self) -> bool {
+        self.has_seen_whole
     }
 
     /// The rig as its images show it.
@@ -276,6 +289,13 @@ impl RigWatch {
         let sure = self.meter.offsets(errors).map(|(offset, sigma)| offset.abs() - sigmas * sigma);
         sure.into_iter().fold(0.0, f64::max) / self.limit_rad()
     }
+}
+
+/// Whether rectification does more to the images of a rig than to scale them: images that agree without lens distortion and rotation were
+/// rectified, those that agree with another focal length were not.
+fn differs_beyond_focal_lengths(rig: &StereoRig) -> bool {
+    let is_turned = rig.cam_right_from_cam_left().rotation_angle_rad() > TURNED_FROM_RAD;
+    is_turned || [rig.left(), rig.right()].iter().any(|camera| *camera.distortion() != Distortion::None)
 }
 
 /// What has changed from one measurement to the next.

@@ -28,6 +28,10 @@ const DETERMINED_S: f64 = 2e-3;
 const PAIRS_MIN: usize = 6;
 const SIGNIFICANT_SIGMAS: f64 = 4.0;
 const SIGNIFICANT_S: f64 = 1e-3;
+/// A stated skew is contradicted if the motion differs by so many standard deviations and seconds. Chosen by hand, not varied: fast swings are
+/// wrong by up to 2 ms.
+const CONTRADICTS_SIGMAS: f64 = 5.0;
+const CONTRADICTS_S: f64 = 6e-3;
 /// Measurement ends at this standard deviation, seconds, or after so many pairs. Chosen by hand, not varied.
 const ENOUGH_S: f64 = 3e-4;
 const PAIRS_MAX: usize = 150;
@@ -119,8 +123,9 @@ impl SkewWatch {
         (dt_s, assumed_s): (f64, f64),
         estimate: &TrackEstimate,
     ) {
-        if dt_s <= 0.0 {
-            // Another round of a recording.
+        let has_changed = self.newest.back().is_some_and(|last| (last.assumed_s - assumed_s).abs() > SIGNIFICANT_S);
+        if dt_s <= 0.0 || has_changed {
+            // Another round of a recording, or places of another kind.
             self.newest.clear();
         }
         self.at_s += dt_s;
@@ -227,6 +232,14 @@ impl SkewWatch {
         let cost = if found.is_none() && is_due { self.cost() } else { None };
         self.told = [skew_is_told || found.is_some(), cost_is_told || cost.is_some()];
         found.or(cost)
+    }
+
+    /// That the motion contradicts the skew that is stated, once.
+    pub fn contradiction(&mut self, stated_s: f64) -> Option<EstimateWarning> {
+        let Skew { skew_s, sigma_s } = self.skew().filter(|skew| !self.told[0] && skew.sigma_s <= DETERMINED_S)?;
+        self.told[0] = (skew_s - stated_s).abs() > f64::max(CONTRADICTS_SIGMAS * sigma_s, CONTRADICTS_S);
+        let [stated_ms, skew_ms, sigma_ms] = [stated_s, skew_s, sigma_s].map(|time_s| 1e3 * time_s);
+        self.told[0].then_some(EstimateWarning::SkewContradicted { stated_ms, skew_ms, sigma_ms })
     }
 
     /// What an unknown skew may cost, if the motion does not tell it and the cost counts.

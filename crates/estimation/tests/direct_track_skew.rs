@@ -89,7 +89,7 @@ fn follow(taken_by: &StereoRig, skew_s: f64, stated_s: f64) -> (Tracker, Vec<Tra
         Pose::from_parts(Vector3::new(0.03 + swing(0.012, 0.9), swing(0.014, 0.7), 0.45), turn)
     };
     let mut tracker = Tracker::new(Method::Direct, &rectified_rig(), &EstimatorConfig::default()).expect("tracker");
-    tracker.watch_skew(true).expect("a rig");
+    if stated_s == 0.0 { tracker.watch_skew(true) } else { tracker.check_skew() }.expect("a rig");
     let range = SearchRange { z_min_m: 0.3, z_max_m: 0.7, tilt_max_rad: 0.8 };
     let estimates = (0..FRAMES).map(|frame| {
         let t_s = f64::from(frame) / FPS;
@@ -118,6 +118,18 @@ fn a_skew_that_nobody_has_stated_is_found_in_the_rows() {
         let warnings: Vec<&EstimateWarning> = estimates.iter().flat_map(|estimate| &estimate.warnings).collect();
         let is_told = warnings.iter().any(|warning| matches!(warning, EstimateWarning::Skewed { .. }));
         assert_eq!((is_told, warnings.is_empty()), (skew_s != 0.0, skew_s == 0.0), "{warnings:?}");
+    }
+}
+
+/// A sign is easily wrong.
+#[test]
+fn a_stated_skew_that_the_motion_contradicts_is_named() {
+    for (stated_s, contradicts) in [(-1.5e-3, true), (8e-3, false)] {
+        let (tracker, estimates) = follow(&rectified_rig(), 8e-3, stated_s);
+        let seen = tracker.skew().and_then(SkewWatch::skew);
+        let mut warnings = estimates.iter().flat_map(|estimate| &estimate.warnings);
+        let is_told = warnings.any(|warning| matches!(warning, EstimateWarning::SkewContradicted { .. }));
+        assert_eq!(is_told, contradicts, "{stated_s}: {seen:?}");
     }
 }
 

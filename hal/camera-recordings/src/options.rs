@@ -68,7 +68,8 @@ pub struct RecordingOptions {
     #[arg(long, help_heading = HEADING, value_parser = PossibleValuesParser::new(ImageLayout::ALL.map(ImageLayout::name)).try_map(|name| name.parse::<ImageLayout>()))]
     pub layout: Option<ImageLayout>,
     /// Middle of the right exposure minus middle of the left one in every pair, milliseconds; 0 if one trigger drives both cameras. `track`
-    /// estimates it from the motion if neither this nor the recording states it.
+    /// estimates it from the motion if neither this nor the recording states it, and warns if the motion contradicts it; a single pair cannot use
+    /// it.
     #[arg(long, value_name = "MS", value_parser = parse_skew, allow_negative_numbers = true, help_heading = HEADING)]
     pub skew: Option<SkewMillis>,
     /// Pairs per second of a recording without times.

@@ -51,7 +51,7 @@ pub struct MotionSigmas {
 }
 
 impl MotionSigmas {
-    /// Of an unknown motion `[rho; phi]` (metres, radians) of a target at a depth.
+    /// Of an unknown motion `[rho; phi]` (metres, radians; axes of `cam_left`) of a target at a depth.
     pub fn of(motion: &Vector6<f64>, depth_m: f64) -> Self {
         let [_, y, z, _, _, turn] = (*motion).into();
         Self { offset: y / depth_m, turn, scale: z / depth_m }
@@ -96,11 +96,10 @@ impl Expected {
     }
 
     /// Disparities of a point, pixels.
-    fn near(&self, left_px: &Vector2<f64>) -> DisparityRange {
-        let Some(right_px) = self.right_px(left_px) else { return DisparityRange { lowest: 0.0, highest: -1.0 } };
-        let disparity_px = left_px.x - right_px.x;
+    fn near(&self, left_px: &Vector2<f64>) -> Option<DisparityRange> {
+        let disparity_px = left_px.x - self.right_px(left_px)?.x;
         let reach = NEAR_PX.max(NEAR_SHARE * (disparity_px + self.geometry.disparity_offset_px).abs());
-        DisparityRange { lowest: disparity_px - reach, highest: disparity_px + reach }
+        Some(DisparityRange { lowest: disparity_px - reach, highest: disparity_px + reach })
     }
 
     /// The row offsets around a left pixel that the motion makes.
@@ -145,7 +144,7 @@ impl RowMeter {
         let last = first + Vector2::new(f64::from(bounds.width - 1), f64::from(bounds.height - 1));
         let moved = expected.moved_rows(0.5 * (first + last))?;
         let corners = [first, Vector2::new(last.x, first.y), Vector2::new(first.x, last.y), last];
-        let ranges = || corners.iter().map(|corner| expected.near(corner));
+        let ranges = || corners.iter().filter_map(|corner| expected.near(corner));
         let disparity_px = DisparityRange {
             lowest: ranges().map(|range| range.lowest).fold(f64::INFINITY, f64::min),
             highest: ranges().map(|range| range.highest).fold(f64::NEG_INFINITY, f64::max),
@@ -159,7 +158,12 @@ impl RowMeter {
                 matches = found;
             }
         }
-        matches.iter_mut().for_each(|found| found.right_px.y -= moved.at(&found.right_px));
+        // The motion has moved them.
+        matches.retain_mut(|found| {
+            let expected_px = expected.right_px(&found.left_px);
+            found.right_px.y -= expected_px.map_or(0.0, |px| px.y - found.left_px.y);
+            expected_px.is_some()
+        });
         Some(matches)
     }
 
@@ -179,7 +183,7 @@ impl RowMeter {
         let [near, far] = DEPTH_SHARES.map(|share| geometry.disparity_px(depth_m * share));
         let disparity_px = DisparityRange { lowest: far, highest: near };
         let source = source_of_region(images, region, disparity_px, RowOffset::default());
-        let (matches, _) = self.matches(&source, |_| disparity_px, REGION_SEARCH, &mut RegionPyramid::default());
+        let (matches, _) = self.matches(&source, |_| Some(disparity_px), REGION_SEARCH, &mut RegionPyramid::default());
         let focal_px = geometry.focal_px.y;
         let offsets = || matches.iter().map(|found| found.offset_px() / focal_px);
         let offset = median(offsets().collect());

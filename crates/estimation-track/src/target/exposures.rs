@@ -15,6 +15,8 @@ use crate::predict::{Expected, share_of};
 /// Variance of a velocity that is extrapolated from three poses, per variance of a pose and square of an interval: the velocity 1.5
 /// intervals after the middle of the last one is 2.5, -4 and 1.5 times the poses, and the sum of the squares is this.
 const EXTRAPOLATED: f64 = 2.5 * 2.5 + 4.0 * 4.0 + 1.5 * 1.5;
+/// The same half an interval after it, where the pose of the pair itself is known.
+const EXTRAPOLATED_SEEN: f64 = 1.5 * 1.5 + 2.0 * 2.0 + 0.5 * 0.5;
 /// Share of an unforeseen change of the motion that is still unknown when it was seen. Chosen with figures: swings of 200 mm/s with 20 ms.
 const UNKNOWN_SHARE: f64 = 0.5;
 /// Distance of the rays that determine a corrected plane.
@@ -71,13 +73,33 @@ impl Target {
         self.place_frame(&frame)
     }
 
+    /// The motion between the exposures as the pair itself shows it, which is aligned for this with the motion that was foreseen. `None` if both
+    /// were taken at once, the target is not found so, or its motion is not known.
+    pub(crate) fn see_motion(
+        &mut self,
+        expected: &Expected,
+        frame: &Frame<'_>,
+        prior: &FramePrior,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Option<Pose<CamLeft, CamLeft>> {
+        if prior.skew_s == 0.0 {
+            return None;
+        }
+        let before = self.estimate;
+        self.view = self.nearest_view(&expected.pose, frame.config).0;
+        let is_found = self.attempt(&expected.pose, StartLevel::Resembling, frame, may_continue).is_some()
+            && self.fit.misfit(&self.limits(frame.config)).is_none();
+        let found = std::mem::replace(&mut self.estimate, before).cam_left_from_model;
+        self.motion.between_seen_exposures(&found, prior).filter(|_| is_found)
+    }
+
     /// Adds the error of the motion between the exposures to the covariance: depth follows from the difference of both images. `unforeseen`: what
     /// this frame has changed of the motion that was foreseen, of which a share remains unknown.
     pub(crate) fn add_error_of_motion(
         &mut self,
         prior: &FramePrior,
         rig: &StereoRig,
-        unforeseen: &Pose<CamLeft, CamLeft>,
+        unforeseen: Option<&Pose<CamLeft, CamLeft>>,
     ) {
         let (Some(covariance), Some(step_s)) = (&mut self.covariance, prior.dt_s) else { return };
         let pose = &self.estimate.cam_left_from_model;
@@ -85,8 +107,10 @@ impl Target {
         let along = pose.inverse().transform_vector(&baseline.normalize());
         let place = covariance.fixed_view::<3, 3>(0, 0).into_owned();
         let origin = pose.translation_m();
+        let extrapolated = if unforeseen.is_some() { EXTRAPOLATED_SEEN } else { EXTRAPOLATED };
+        let unforeseen = unforeseen.copied().unwrap_or_else(Pose::coincident);
         let shifted = unforeseen.transform_point(&origin.into()).coords - origin;
-        let variance = EXTRAPOLATED * (prior.skew_s / step_s).clamp(-1.0, 1.0).powi(2) * along.dot(&(place * along))
+        let variance = extrapolated * (prior.skew_s / step_s).clamp(-1.0, 1.0).powi(2) * along.dot(&(place * along))
             + (UNKNOWN_SHARE * shifted.dot(&baseline.normalize())).powi(2);
         let depth = origin.z / baseline.norm();
         let turn_variance = (UNKNOWN_SHARE * depth * unforeseen.rotation_angle_rad()).powi(2);
@@ -109,6 +133,9 @@ impl Target {
         let left = rig.left();
         let per_angle_s = readout_s * left.pinhole().fy / f64::from(left.size().height);
         let turn_rad = speed_m_per_s * per_angle_s / now.translation_m().z;
+        if readout_s == 0.0 || !turn_rad.is_finite() {
+            return;
+        }
         let mut turns = covariance.fixed_view_mut::<3, 3>(3, 3);
         turns += Matrix3::identity() * turn_rad.powi(2);
     }

@@ -120,6 +120,11 @@ impl Job {
     /// # Errors
     /// A recording that cannot be used, a pair that it does not have or that is damaged, and no region.
     pub fn from_recording(path: &Path, args: &EstimateArgs) -> Result<Self> {
+        if args.recording.skew.is_some() {
+            bail!(
+                "--skew has no effect on a single pair, whose motion is not known: leave it out, or use `pb3dp track`"
+            );
+        }
         let mut recording = wire_replay(path, &args.calib, &args.recording, ReplayPace::Fast).context("--sequence")?;
         let pairs = recording.camera.pairs();
         if args.frame >= pairs {

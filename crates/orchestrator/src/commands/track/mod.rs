@@ -125,7 +125,9 @@ fn new_walk(recording: &Recording, args: &TrackArgs) -> Result<Walk> {
     notes.iter().for_each(|note| tracing::info!("{note}"));
     let range = overridden(given, &args.method);
     let mut walk = Walk::new(rig, recording, args, range)?;
-    if !recording.states_skew && args.method.method == Method::Direct {
+    if recording.states_skew {
+        walk.first_target().map_or(Ok(()), |target| target.check_skew())?;
+    } else if args.method.method == Method::Direct {
         let again = opened(args, ReplayPace::Fast)?;
         let told = skew::of(again, Walk::new(rig, recording, args, range)?)?;
         walk.use_skew(told.skew.map(|skew| skew.skew_s), told.warning());

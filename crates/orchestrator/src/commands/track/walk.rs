@@ -136,6 +136,14 @@ impl TrackedTarget {
         Ok(self.follower.watch_skew(true)?)
     }
 
+    /// For pairs whose skew is stated.
+    ///
+    /// # Errors
+    /// A rig that cannot be rectified.
+    pub fn check_skew(&mut self) -> Result<()> {
+        Ok(self.follower.check_skew()?)
+    }
+
     /// Follows the target for its skew only; whether the next pair is needed.
     pub fn look_for_skew(&mut self, pair: &FramePair, before: &mut Option<MonotonicTime>) -> bool {
         let last_at = before.replace(pair.exposed_at);
