@@ -52,6 +52,8 @@ pub struct FramePrior {
     /// Middle of the right exposure minus middle of the left one, seconds; 0: both at once. A tracker with a model of the motion takes the
     /// target's motion in this time into account, if [`Self::dt_s`] is known too.
     pub skew_s: f64,
+    /// Standard deviation of [`Self::skew_s`], seconds: of one that was estimated. The motion of the target in this time is in the covariance.
+    pub skew_sigma_s: f64,
 }
 
 impl FramePrior {
@@ -82,6 +84,7 @@ impl FramePrior {
             cam_left_from_model: self.cam_left_from_model.filter(is_target),
             dt_s: self.dt_s.filter(|dt_s| dt_s.is_finite() && *dt_s > 0.0),
             skew_s: if self.skew_s.abs() <= SKEW_MAX_S { self.skew_s } else { 0.0 },
+            skew_sigma_s: if self.skew_sigma_s >= 0.0 { self.skew_sigma_s.min(SKEW_MAX_S) } else { 0.0 },
         }
     }
 }

@@ -152,7 +152,12 @@ impl RowMeter {
 
     /// Vertical misalignment at the image centre, pixels; positive if the right image is lower.
     pub fn centre_px(&self, errors: &RigErrors) -> f64 {
-        self.offsets(errors)[4].0 * self.focal_px()
+        self.centre(errors).0 * self.focal_px()
+    }
+
+    /// The same with its standard deviation, tangents.
+    pub fn centre(&self, errors: &RigErrors) -> (f64, f64) {
+        self.offsets(errors)[4]
     }
 
     /// Vertical focal length of the rectified images, pixels.

@@ -512,12 +512,12 @@ impl EstimationMethod for DirectTracker {
     /// status. So is a target that the initialisation did not find: `not-observable` until it is marked again.
     fn answer(&mut self, request: &mut EstimateRequest<'_>) -> Result<TrackEstimate, EstimationError> {
         if request.target.is_some() {
-            let skew_s = request.prior.plausible().skew_s;
+            let FramePrior { skew_s, skew_sigma_s, .. } = request.prior.plausible();
             let first = self.start(request)?;
             if let Some(target) = &mut self.target {
                 target.first_skew_s = Some(skew_s).filter(|skew_s| *skew_s != 0.0);
             }
-            return Ok(self.with_errors_of_motion(first, skew_s));
+            return Ok(self.with_errors_of_motion(first, skew_s.hypot(skew_sigma_s)));
         }
         let mut estimate = blank();
         self.follow_into(request, &mut estimate)?;

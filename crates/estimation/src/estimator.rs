@@ -13,7 +13,6 @@ use pb3dp_estimation_core::rig_errors::RigErrors;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
 use pb3dp_estimation_published::estimator::PublishedConfig;
-use pb3dp_estimation_track::DirectTrackerConfig;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
 
@@ -25,7 +24,7 @@ pub use pb3dp_estimation_core::method::{
     EstimateRequest, EstimationMethod, FramePrior, MarkedTarget, SurfacePoint, VisiblePoint,
 };
 pub use pb3dp_estimation_published::estimator::{PublishedEstimator, PublishedTracker};
-pub use pb3dp_estimation_track::DirectTracker;
+pub use pb3dp_estimation_track::{DirectTracker, DirectTrackerConfig};
 
 /// The estimation methods of this project.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -273,7 +272,7 @@ pub struct Tracker {
     is_skew_stated: bool,
     /// The skew of the pairs that `watch` has seen, seconds.
     watched_skew_s: f64,
-    /// Whether a warning has said that the images do not show the rig.
+    /// Whether a warning has said that the images do not show the rig, since the target was marked.
     is_told_unchecked: bool,
 }
 
@@ -390,7 +389,7 @@ impl Tracker {
         let (is_stated, dt_s) =
             (self.is_skew_stated || request.prior.skew_s != 0.0, request.prior.dt_s.unwrap_or(USUAL_INTERVAL_S));
         if let Some(found) = self.skew.as_ref().filter(|_| !is_stated).and_then(|skew| skew.found()) {
-            request.prior.skew_s = found.skew_s;
+            (request.prior.skew_s, request.prior.skew_sigma_s) = (found.skew_s, found.sigma_s);
         }
         self.pairs += 1;
         if (request.prior.skew_s - self.watched_skew_s).abs() >= SKEW_FOR_ROWS_S {
@@ -403,7 +402,7 @@ impl Tracker {
         }
         let mut estimate = self.inner.answer(&mut request)?;
         if is_new {
-            self.steps = Steps::default();
+            (self.steps, self.is_told_unchecked) = (Steps::default(), false);
         }
         let has_jumped = self.steps.has_jumped(&estimate, dt_s);
         if is_due && (!shows_rig || self.watch.errors().is_none()) {
@@ -418,7 +417,7 @@ impl Tracker {
             self.look(left, right, false)?;
         }
         self.was_sure = is_sure;
-        if let Some(skew) = self.skew.as_mut().filter(|skew| is_stated == self.is_skew_stated && !skew.is_done()) {
+        if let Some(skew) = self.skew.as_mut().filter(|_| is_stated == self.is_skew_stated) {
             skew.take((left, right), (dt_s, request.prior.skew_s), &estimate);
             let news = if self.is_skew_stated { skew.contradiction(request.prior.skew_s) } else { skew.news() };
             estimate.warnings.extend(news);

@@ -8,7 +8,7 @@ use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::EstimateWarning;
 use pb3dp_estimation_core::image_view::ImageView;
-use pb3dp_estimation_core::rig_errors::{MOVED_FROM, PITCH, ROLL, RigErrors, SCALE};
+use pb3dp_estimation_core::rig_errors::{MOVED_FROM, ROLL, RigErrors, SCALE};
 use pb3dp_estimation_direct::row_measurement::is_enough;
 pub use pb3dp_estimation_direct::row_measurement::{KnownTarget, MATCHES_MIN, MotionSigmas, RowMeter};
 use pb3dp_geometry::{Distortion, Rectification, StereoRig};
@@ -228,17 +228,17 @@ impl RigWatch {
 
     /// What was corrected, if it is worth a warning.
     pub fn warning(&self) -> Option<EstimateWarning> {
-        let is_told = self.has_moved && self.share_of_limit(&self.errors, SURE_SIGMAS) > TOLD_SHARE;
+        let is_told = self.share_of_limit(&self.errors, SURE_SIGMAS) > TOLD_SHARE;
         (is_told && self.objection().is_none()).then(|| EstimateWarning::RowsOff {
             offset_max_px: self.meter.largest_px(&self.errors),
-            errors: text(&self.errors),
+            errors: text(&self.meter, &self.errors),
         })
     }
 
     /// Why no estimate with this calibration may be used.
     pub fn objection(&self) -> Option<String> {
         if let Some((other, _)) = &self.other {
-            let (px, text) = (self.meter.largest_px(&change(&self.measured, other)), text(other));
+            let (px, text) = (self.meter.largest_px(&change(&self.measured, other)), text(&self.meter, other));
             return Some(match self.is_knocked {
                 true => format!(
                     "the cameras have moved against each other: rows of the images are up to {px:.1} px from where they were ({text}): \
@@ -269,7 +269,7 @@ impl RigWatch {
             format!(
                 "the images do not agree with the calibration: points are up to {:.1} px off their rows ({}, limit {:.1} px): {why}",
                 self.meter.largest_px(&self.errors),
-                text(&self.errors),
+                text(&self.meter, &self.errors),
                 self.limit_rad() * self.meter.focal_px()
             )
         })
@@ -303,14 +303,16 @@ fn change(before: &RigErrors, after: &RigErrors) -> RigErrors {
     RigErrors { errors: after.errors - before.errors, covariance: before.covariance + after.covariance, ..*after }
 }
 
-fn text(known: &RigErrors) -> String {
+/// Errors as text. An offset of all rows is a pitch of one camera or a shift of its sensor, which look alike.
+fn text(meter: &RowMeter, known: &RigErrors) -> String {
     let sigma = |index: usize| known.covariance[(index, index)].max(0.0).sqrt();
+    let (centre, centre_sigma) = meter.centre(known);
     format!(
-        "roll {:.2} ± {:.2}°, pitch {:.2} ± {:.2}°, focal lengths {:.2} ± {:.2} % apart",
+        "all rows {:+.1} ± {:.1} px, roll {:+.2} ± {:.2}°, focal lengths {:+.2} ± {:.2} % apart",
+        centre * meter.focal_px(),
+        centre_sigma * meter.focal_px(),
         known.errors[ROLL].to_degrees(),
         sigma(ROLL).to_degrees(),
-        known.errors[PITCH].to_degrees(),
-        sigma(PITCH).to_degrees(),
         100.0 * known.errors[SCALE],
         100.0 * sigma(SCALE)
     )

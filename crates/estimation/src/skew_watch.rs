@@ -25,7 +25,7 @@ const SLOPE_SIGMAS: [f64; 2] = [MOVED_SIGMAS[ROLL], MOVED_SIGMAS[SCALE]];
 /// The skew is determined if its standard deviation is at most this, seconds, from at least so many pairs; and it is no chance if it is this many
 /// standard deviations, and seconds, long.
 const DETERMINED_S: f64 = 2e-3;
-const PAIRS_MIN: usize = 6;
+const PAIRS_MIN: usize = 3;
 const SIGNIFICANT_SIGMAS: f64 = 4.0;
 const SIGNIFICANT_S: f64 = 1e-3;
 /// A stated skew is contradicted if the motion differs by so many standard deviations and seconds. Chosen by hand, not varied: fast swings are
@@ -35,9 +35,10 @@ const CONTRADICTS_S: f64 = 6e-3;
 /// Measurement ends at this standard deviation, seconds, or after so many pairs. Chosen by hand, not varied.
 const ENOUGH_S: f64 = 3e-4;
 const PAIRS_MAX: usize = 150;
-/// Pairs after which a warning names the cost of an unknown skew, and the skew of its example, seconds.
-const TOLD_AFTER: usize = 14;
+/// The skew of an example, seconds.
 const EXAMPLE_S: f64 = 0.01;
+/// Error of a skew as a share of it, by motion that changes between the pairs: 28.1 to 30 of 30 ms, 19 to 21.6 of 20 ms were found.
+const MODEL_SHARE: f64 = 0.04;
 /// Pairs from which the motion of the middle one follows. Chosen by hand, not varied: with fewer, the acceleration is mostly noise.
 const WINDOW: usize = 5;
 /// Standard deviations of the pose from which a cost matters. Chosen by hand, not varied.
@@ -90,8 +91,10 @@ pub struct SkewWatch {
     pairs: usize,
     /// Error of the depth and of the tilt per second of skew, metres and radians per second, and the larger of both in standard deviations.
     costs: Vec<[f64; 3]>,
-    /// Whether the skew was told, and the cost of an unknown one.
-    told: [bool; 2],
+    /// The same at the newest pair.
+    newest_cost: Option<[f64; 3]>,
+    /// The skew that was told.
+    told: Option<Skew>,
 }
 
 impl SkewWatch {
@@ -107,13 +110,15 @@ impl SkewWatch {
             samples: Vec::new(),
             pairs: 0,
             costs: Vec::new(),
-            told: [false; 2],
+            newest_cost: None,
+            told: None,
         })
     }
 
     /// Whether more pairs would not tell more.
     pub fn is_done(&self) -> bool {
-        self.pairs >= PAIRS_MAX || self.skew().is_some_and(|skew| skew.sigma_s < ENOUGH_S)
+        self.pairs >= PAIRS_MAX
+            || self.skew().is_some_and(|skew| skew.sigma_s < ENOUGH_S.hypot(MODEL_SHARE * skew.skew_s))
     }
 
     /// Takes a pair, `dt_s` after the one before, that was tracked with an assumed skew.
@@ -129,13 +134,15 @@ impl SkewWatch {
             self.newest.clear();
         }
         self.at_s += dt_s;
+        let is_done = self.is_done();
         self.pairs += 1;
+        self.newest_cost = None;
         let Some(pose) = estimate.cam_left_from_model.filter(|_| estimate.status.depth_is_sure()) else {
             self.newest.clear();
             return;
         };
         let depth_m = pose.translation_m().z;
-        let rows = self.meter.measure_region(images, &estimate.outline_px, depth_m);
+        let rows = if is_done { None } else { self.meter.measure_region(images, &estimate.outline_px, depth_m) };
         if self.newest.len() == WINDOW {
             self.newest.pop_front();
         }
@@ -150,7 +157,7 @@ impl SkewWatch {
 
     /// Speed of the target around a pair of the newest ones, tangents and radians per second.
     fn speed(&self, middle: usize) -> Option<(Vector2<f64>, f64)> {
-        let (first, last) = (self.newest.get(middle.checked_sub(1)?)?, self.newest.get(middle + 1)?);
+        let (first, last) = (self.newest.get(middle.saturating_sub(1))?, self.newest.get(middle + 1)?);
         let duration_s = last.at_s - first.at_s;
         let speed = (last.place - first.place) / duration_s;
         speed.iter().all(|x| x.is_finite()).then(|| (speed, first.turn.angle_to(&last.turn) / duration_s))
@@ -163,14 +170,15 @@ impl SkewWatch {
         // A turn by an angle between the exposures shears the disparities of the target by as much.
         let per_s = [baselines * middle.depth_m * speed.x.abs(), baselines * turned_per_s];
         let in_sigmas = |index: usize| per_s[index] / middle.sigmas[index].max(f64::MIN_POSITIVE);
-        self.costs.push([per_s[0], per_s[1], in_sigmas(0).max(in_sigmas(1))]);
+        let cost = [per_s[0], per_s[1], in_sigmas(0).max(in_sigmas(1))];
+        self.newest_cost = Some(cost);
+        if self.costs.len() < PAIRS_MAX {
+            self.costs.push(cost);
+        }
     }
 
     fn note_rows(&mut self) {
-        if self.newest.len() < WINDOW {
-            return;
-        }
-        let middle = WINDOW / 2;
+        let Some(middle) = self.newest.len().checked_sub(2).filter(|middle| *middle > 0) else { return };
         let (Some((speed, _)), Some(seen)) = (self.speed(middle), self.newest.get(middle)) else { return };
         let (at_s, place, Some(rows)) = (seen.at_s, seen.place, seen.rows) else { return };
         let acceleration = acceleration(self.newest.iter().map(|seen| (seen.at_s - at_s, seen.place.y)));
@@ -211,7 +219,7 @@ impl SkewWatch {
             // Neighbouring pairs share errors of the texture, which their own scatter shows.
             covariance *= (squares / f64::max(count - 4.0, 1.0)).max(1.0);
         }
-        Some(Skew { skew_s: found.y, sigma_s: covariance[(1, 1)].sqrt() })
+        Some(Skew { skew_s: found.y, sigma_s: covariance[(1, 1)].sqrt().hypot(MODEL_SHARE * found.y) })
     }
 
     /// The skew, if it is determined and no chance.
@@ -221,39 +229,47 @@ impl SkewWatch {
         })
     }
 
-    /// What there is to tell, each thing once: the skew that was found, and what an unknown one may cost.
+    /// What there is to tell of the newest pair: the skew once it is found, and again when it is known twice as well; before, what an unknown
+    /// one costs at its speed.
     pub fn news(&mut self) -> Option<EstimateWarning> {
-        let [skew_is_told, cost_is_told] = self.told;
-        let found = self
-            .found()
-            .filter(|_| !skew_is_told)
-            .map(|Skew { skew_s, sigma_s }| EstimateWarning::Skewed { skew_ms: 1e3 * skew_s, sigma_ms: 1e3 * sigma_s });
-        let is_due = !skew_is_told && !cost_is_told && self.pairs >= TOLD_AFTER;
-        let cost = if found.is_none() && is_due { self.cost() } else { None };
-        self.told = [skew_is_told || found.is_some(), cost_is_told || cost.is_some()];
-        found.or(cost)
+        let Some(found) = self.found() else { return self.warning(self.newest_cost?) };
+        if self.told.is_some_and(|told| found.sigma_s > 0.5 * told.sigma_s) {
+            return None;
+        }
+        self.told = Some(found);
+        Some(EstimateWarning::Skewed { skew_ms: 1e3 * found.skew_s, sigma_ms: 1e3 * found.sigma_s })
     }
 
     /// That the motion contradicts the skew that is stated, once.
     pub fn contradiction(&mut self, stated_s: f64) -> Option<EstimateWarning> {
-        let Skew { skew_s, sigma_s } = self.skew().filter(|skew| !self.told[0] && skew.sigma_s <= DETERMINED_S)?;
-        self.told[0] = (skew_s - stated_s).abs() > f64::max(CONTRADICTS_SIGMAS * sigma_s, CONTRADICTS_S);
+        let Skew { skew_s, sigma_s } =
+            self.skew().filter(|skew| self.told.is_none() && skew.sigma_s <= DETERMINED_S)?;
+        if (skew_s - stated_s).abs() <= f64::max(CONTRADICTS_SIGMAS * sigma_s, CONTRADICTS_S) {
+            return None;
+        }
+        self.told = Some(Skew { skew_s, sigma_s });
         let [stated_ms, skew_ms, sigma_ms] = [stated_s, skew_s, sigma_s].map(|time_s| 1e3 * time_s);
-        self.told[0].then_some(EstimateWarning::SkewContradicted { stated_ms, skew_ms, sigma_ms })
+        Some(EstimateWarning::SkewContradicted { stated_ms, skew_ms, sigma_ms })
     }
 
-    /// What an unknown skew may cost, if the motion does not tell it and the cost counts.
+    /// What an unknown skew costs at most pairs, if the motion does not tell it and the cost counts.
     pub fn cost(&self) -> Option<EstimateWarning> {
-        let is_determined = self.skew().is_some_and(|skew| skew.sigma_s <= DETERMINED_S);
         let median = |index: usize| {
             let mut sorted: Vec<f64> = self.costs.iter().map(|cost| cost[index]).collect();
             sorted.sort_by(f64::total_cmp);
-            EXAMPLE_S * sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
+            sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
         };
-        (!is_determined && median(2) > COST_SIGMAS).then(|| EstimateWarning::SkewUnknown {
+        self.warning([0, 1, 2].map(median))
+    }
+
+    /// Names a cost, unless it does not count or the skew is determined.
+    fn warning(&self, cost_per_s: [f64; 3]) -> Option<EstimateWarning> {
+        let is_determined = self.skew().is_some_and(|skew| skew.sigma_s <= DETERMINED_S);
+        let [depth_m, tilt_rad, in_sigmas] = cost_per_s.map(|per_s| EXAMPLE_S * per_s);
+        (!is_determined && in_sigmas > COST_SIGMAS).then(|| EstimateWarning::SkewUnknown {
             example_ms: 1e3 * EXAMPLE_S,
-            cost_mm: 1e3 * median(0),
-            cost_deg: median(1).to_degrees(),
+            cost_mm: 1e3 * depth_m,
+            cost_deg: tilt_rad.to_degrees(),
         })
     }
 }

@@ -439,5 +439,5 @@ fn a_knock_in_a_sequence_is_named() {
         (0..32).map(|_| next(&after)).map(|found| (found.status, found.reason)).collect();
     let (status, reason) = statuses.last().unwrap();
     assert_eq!(*status, Status::Miscalibrated, "{reason}");
-    assert!(reason.contains("cameras have moved against each other") && reason.contains("roll 0.4"), "{reason}");
+    assert!(reason.contains("cameras have moved against each other") && reason.contains("roll +0.4"), "{reason}");
 }

@@ -6,7 +6,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{ArgGroup, Args};
 use pb3dp_bag::live::ViewerAddress;
 use pb3dp_cell::terminal::{parse_seconds, with_unit};
-use pb3dp_estimation::estimator::Method;
+use pb3dp_estimation::estimator::{DirectTrackerConfig, Method};
 use pb3dp_panel::PanelAddress;
 use pb3dp_record::dataset::TILT_LIMIT_DEG;
 use pb3dp_setup::layers::SetupArgs;
@@ -14,6 +14,7 @@ use pb3dp_setup::region_spec::{REGION_HELP, RegionSpec};
 use pb3dp_wiring::ReplayPace;
 use pb3dp_wiring::{RecordingOptions, TimedRecordingOptions};
 
+use crate::commands::rig::numbers::millis;
 use crate::panel_access::{PANEL_ADDRESS, PanelAccess, parse_address};
 
 /// Exit code with `--strict` for an answer other than `ok`, and for setups or recordings that differ.
@@ -233,6 +234,10 @@ pub struct TrackArgs {
     /// Targets in the left image of frame 0, in addition to that of the recording.
     #[arg(long, value_name = "REGION", help = format!("A target in the left image of frame 0, in addition to that of the recording if it has one; may be repeated: {REGION_HELP}"))]
     pub region: Vec<RegionSpec>,
+    /// Time in which both cameras read all rows one after the other, milliseconds: what a moving target turns and shears in it is in the
+    /// covariance (direct only).
+    #[arg(long, value_name = "MS", value_parser = millis(DirectTrackerConfig::ROLLING_SHUTTER_MILLIS), allow_negative_numbers = true)]
+    pub rolling_shutter: Option<f64>,
     /// Write the recovered surface with its colours and standard deviations into this PLY file, in the model frame (direct only).
     #[arg(long, value_name = "FILE")]
     pub surface: Option<PathBuf>,

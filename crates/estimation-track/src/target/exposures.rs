@@ -113,7 +113,12 @@ impl Target {
         let variance = extrapolated * (prior.skew_s / step_s).clamp(-1.0, 1.0).powi(2) * along.dot(&(place * along))
             + (UNKNOWN_SHARE * shifted.dot(&baseline.normalize())).powi(2);
         let depth = origin.z / baseline.norm();
-        let turn_variance = (UNKNOWN_SHARE * depth * unforeseen.rotation_angle_rad()).powi(2);
+        let before = &self.motion.cam_left_from_model;
+        let share = prior.skew_sigma_s / step_s;
+        let variance = variance + (share * (origin - before.translation_m()).dot(&baseline.normalize())).powi(2);
+        let turned = (before.inverse() * *pose).rotation_angle_rad();
+        let turn_variance =
+            (UNKNOWN_SHARE * depth * unforeseen.rotation_angle_rad()).powi(2) + (share * depth * turned).powi(2);
         let ray = pose.inverse().transform_vector(&pose.translation_m().normalize());
         let mut shift = covariance.fixed_view_mut::<3, 3>(0, 0);
         shift += ray * ray.transpose() * (depth * depth * variance);

@@ -204,6 +204,7 @@ pub fn priors_with_any_numbers_survive(bytes: &[u8]) {
             cam_left_from_model: (c.byte() > 64).then(|| c.pose([0.0, 0.0, 0.8], [0.0, 0.0, 0.0])),
             dt_s: (c.byte() > 64).then(|| c.number(0.033)),
             skew_s: if c.byte() > 64 { c.number(0.01) } else { 0.0 },
+            skew_sigma_s: if c.byte() > 192 { c.number(0.001) } else { 0.0 },
         };
         match tracker.estimate(EstimateRequest::of_next(&left, &right, &prior)) {
             Ok(estimate) => check_track(method, &estimate),

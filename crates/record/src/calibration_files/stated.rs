@@ -32,9 +32,9 @@ pub enum LengthUnit {
 /// A lens model with four coefficients.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LensModel {
-    /// `brown`: Brown-Conrady, k1 k2 p1 p2.
+    /// `brown` or, as in ROS, `plumb_bob`: Brown-Conrady, k1 k2 p1 p2.
     BrownConrady,
-    /// `equidistant`: fisheye (Kannala-Brandt), k1 k2 k3 k4.
+    /// `equidistant` or, as in OpenCV, `fisheye`: fisheye (Kannala-Brandt), k1 k2 k3 k4.
     Equidistant,
 }
 
@@ -97,8 +97,8 @@ impl FromStr for LensModel {
 
     fn from_str(text: &str) -> Result<Self, String> {
         match text {
-            "brown" => Ok(Self::BrownConrady),
-            "equidistant" => Ok(Self::Equidistant),
+            "brown" | "plumb_bob" => Ok(Self::BrownConrady),
+            "equidistant" | "fisheye" => Ok(Self::Equidistant),
             other => Err(format!("unknown lens model {other:?}; use brown or equidistant")),
         }
     }

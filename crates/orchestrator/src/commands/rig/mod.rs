@@ -1,6 +1,6 @@
 //! `pb3dp rig`: accuracy of a stereo rig before it is built (docs/rig.md).
 
-pub(super) mod numbers;
+pub(crate) mod numbers;
 mod report;
 
 use std::process::ExitCode;

@@ -53,7 +53,7 @@ pub(super) fn grey(
     number("grey levels", allowed)
 }
 
-pub(in crate::commands) fn millis(
+pub(crate) fn millis(
     allowed: RangeInclusive<f64>,
 ) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
     number("ms", allowed)

@@ -128,9 +128,8 @@ fn new_walk(recording: &Recording, args: &TrackArgs) -> Result<Walk> {
     if recording.states_skew {
         walk.first_target().map_or(Ok(()), |target| target.check_skew())?;
     } else if args.method.method == Method::Direct {
-        let again = opened(args, ReplayPace::Fast)?;
-        let told = skew::of(again, Walk::new(rig, recording, args, range)?)?;
-        walk.use_skew(told.skew.map(|skew| skew.skew_s), told.warning());
+        let again = || Ok((opened(args, ReplayPace::Fast)?, Walk::new(rig, recording, args, range)?));
+        walk.use_skew(&skew::of(again)?)?;
     }
     Ok(walk)
 }

@@ -1,12 +1,15 @@
 //! Tracks all targets through the frames.
 
+use std::mem::Discriminant;
+
 use anyhow::{Context, Result, bail};
 use image::RgbImage;
 use nalgebra::Vector2;
 use pb3dp_cell::follower::Follower;
 use pb3dp_estimation::estimator::{FramePrior, Tracker};
 use pb3dp_estimation::pair_check::check_pair;
-use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_estimation::skew_watch::Skew;
+use pb3dp_estimation_core::estimate::{EstimateWarning, TrackEstimate};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
@@ -22,6 +25,8 @@ use pb3dp_wiring::message_codes::in_words;
 
 use crate::arguments::TrackArgs;
 use crate::commands::pair::usable;
+
+use super::skew::Told;
 
 /// All targets of a sequence.
 pub struct Walk {
@@ -40,7 +45,7 @@ pub struct Walk {
     /// CPU time for one target in one frame, milliseconds.
     deadline_millis: Option<f64>,
     /// The skew of all pairs, if the recording states none, and what is to be told of it with the first frame.
-    skew_s: Option<f64>,
+    skew: Option<Skew>,
     skew_warning: Option<String>,
 }
 
@@ -49,6 +54,8 @@ pub struct TrackedTarget {
     mark: Mark,
     follower: Follower,
     last_status: Status,
+    /// Kinds of warnings of the last frame.
+    last_warnings: Vec<Discriminant<EstimateWarning>>,
     poses: Vec<Option<Pose<CamLeft, Model>>>,
     /// Why the region is unusable.
     refused: Option<String>,
@@ -94,6 +101,7 @@ impl TrackedTarget {
             mark,
             follower: Follower::new(tracker, range),
             last_status: Status::Ok,
+            last_warnings: Vec::new(),
             poses: Vec::new(),
             refused: None,
         }
@@ -145,10 +153,15 @@ impl TrackedTarget {
     }
 
     /// Follows the target for its skew only; whether the next pair is needed.
-    pub fn look_for_skew(&mut self, pair: &FramePair, before: &mut Option<MonotonicTime>) -> bool {
+    pub fn look_for_skew(
+        &mut self,
+        pair: &FramePair,
+        assumed: Option<Skew>,
+        before: &mut Option<MonotonicTime>,
+    ) -> bool {
         let last_at = before.replace(pair.exposed_at);
         let dt_s = last_at.map(|last_at| pair.exposed_at.seconds_since(last_at));
-        let prior = FramePrior { dt_s, ..FramePrior::default() };
+        let prior = FramePrior { dt_s, ..prior_of(assumed) };
         self.step(pair, &prior, None).is_ok() && self.tracker().skew().is_some_and(|skew| !skew.is_done())
     }
 
@@ -173,11 +186,13 @@ impl TrackedTarget {
         Ok((estimate?, millis))
     }
 
-    /// Logs warnings, and the reason whenever the status changes.
+    /// Logs warnings, those of the same kind in neighbouring frames once, and the reason whenever the status changes.
     fn tell(&mut self, what: &str, estimate: &TrackEstimate) {
-        for warning in &estimate.warnings {
+        let kind = std::mem::discriminant::<EstimateWarning>;
+        for warning in estimate.warnings.iter().filter(|warning| !self.last_warnings.contains(&kind(warning))) {
             tracing::warn!("{what}: {warning}");
         }
+        self.last_warnings = estimate.warnings.iter().map(kind).collect();
         if estimate.status != self.last_status {
             match estimate.status {
                 Status::Ok => tracing::info!("{what}: ok: {}", estimate.reason),
@@ -195,7 +210,8 @@ impl Walk {
     /// A refused configuration, or a method that does not track.
     pub fn new(rig: &StereoRig, recording: &Recording, args: &TrackArgs, range: SearchRange) -> Result<Self> {
         let method = args.method.method;
-        let config = estimator_config(args.method.config.as_deref(), args.method.seed)?;
+        let mut config = estimator_config(args.method.config.as_deref(), args.method.seed)?;
+        config.track.rolling_shutter_millis = args.rolling_shutter.unwrap_or(config.track.rolling_shutter_millis);
         let own = recording.region_polygon_left_px.as_ref().map(|corners| {
             let vertices_px = corners.iter().map(|&[u, v]| Vector2::new(u, v)).collect();
             Mark::Polygon(Region::Polygon { vertices_px })
@@ -217,14 +233,21 @@ impl Walk {
             calibration_warnings: recording.camera.calibration().warnings.clone(),
             rotation_about_normal_observed: true,
             deadline_millis: args.method.deadline,
-            skew_s: None,
+            skew: None,
             skew_warning: None,
         })
     }
 
-    /// Takes a skew for all pairs, and a warning for the first frame.
-    pub fn use_skew(&mut self, skew_s: Option<f64>, warning: Option<String>) {
-        (self.skew_s, self.skew_warning) = (skew_s, warning);
+    /// Takes what the first pairs have told of the skew: a skew for all pairs, or the doubt about it, and a warning for the first frame.
+    ///
+    /// # Errors
+    /// A rig that cannot be rectified.
+    pub fn use_skew(&mut self, told: &Told) -> Result<()> {
+        (self.skew, self.skew_warning) = (told.skew, told.warning());
+        if told.cost.is_some() {
+            self.targets.iter_mut().try_for_each(TrackedTarget::watch_skew)?;
+        }
+        Ok(())
     }
 
     /// The first target.
@@ -270,14 +293,14 @@ impl Walk {
                 rig_warnings.push(warning);
             }
             self.first = Some(frame);
-            if pair.skew_nanos != 0 || self.skew_s.is_some() {
+            if pair.skew_nanos != 0 || self.skew.is_some() {
                 self.judged_from = frame + 1;
             }
         }
         let before = self.last_at.replace(pair.exposed_at);
         let dt_s = before.map(|before| pair.exposed_at.seconds_since(before));
-        let skew_s = self.skew_s.unwrap_or(pair.skew_s());
-        let prior = FramePrior { dt_s, skew_s, ..FramePrior::default() };
+        let skew = self.skew.or(Some(Skew { skew_s: pair.skew_s(), sigma_s: 0.0 }));
+        let prior = FramePrior { dt_s, ..prior_of(skew) };
         let several = self.targets.len() > 1;
         let mut all = Vec::with_capacity(self.targets.len());
         for (index, target) in self.targets.iter_mut().enumerate() {
@@ -309,4 +332,10 @@ impl Walk {
     pub fn skip(&mut self) {
         self.targets.iter_mut().for_each(|target| target.poses.push(None));
     }
+}
+
+/// What is known of the skew of a pair.
+fn prior_of(skew: Option<Skew>) -> FramePrior {
+    let known = |skew: Skew| FramePrior { skew_sigma_s: skew.sigma_s, ..FramePrior::of_skew(skew.skew_s) };
+    skew.map(known).unwrap_or_default()
 }
