@@ -21,5 +21,6 @@ codes! {
         Keeping = "PB3DP-BAG-013": "The newest seconds are to be kept twice at a time."; "Wait until the first file is whole.";
         Serve = "PB3DP-BAG-014": "Viewers cannot be served at the address."; "Give another address or port with --live, or end the program that uses it.";
         Refused = "PB3DP-BAG-015": "The path is a named pipe, a socket or a device."; "Copy the content into a file, and name this file.";
+        NoSegment = "PB3DP-BAG-016": "The recording does not have this many calibrations."; "State a --segment that exists, or leave it out.";
     }
 }

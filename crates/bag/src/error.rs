@@ -130,6 +130,16 @@ pub enum BagError {
         /// Why not.
         why: String,
     },
+    /// There is no such part of the recording.
+    #[error("{}: --segment {asked} does not exist: its calibration makes {segments} of it; state one from 1 on", file.display())]
+    NoSegment {
+        /// The file.
+        file: PathBuf,
+        /// What was asked for.
+        asked: usize,
+        /// Number of segments.
+        segments: usize,
+    },
     /// The calibration in the recording is refused.
     #[error("{}: the calibration in it is refused; give another one with --calib, or exchange the two topics if left and right are exchanged", file.display())]
     Calibration {

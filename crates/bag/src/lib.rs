@@ -10,6 +10,7 @@
 //! * [`live`]: a run for viewers, while it goes on;
 //! * [`reader`]: the messages of a file, also of one that was broken off;
 //! * [`pairs`]: the stereo pairs and the calibration of a recording;
+//! * [`segments`]: its parts with one calibration;
 //! * [`stops`]: the stops of an arm, for a calibration;
 //! * [`recover`]: a whole file from one that was broken off.
 //!
@@ -35,6 +36,7 @@ pub mod reader;
 pub mod recent;
 pub mod recover;
 pub mod run_messages;
+pub mod segments;
 pub mod sinks;
 pub mod stops;
 pub mod topics;

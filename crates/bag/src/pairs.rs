@@ -16,6 +16,7 @@ use crate::matching::{LeftOut, Matching};
 use crate::messages::{CameraInfo, CompressedImage, Header, Image, Point32, PolygonStamped, RegionOfInterest, Text};
 use crate::pixels::{Pixels, converted, pixels};
 use crate::reader::{Bag, RawMessage};
+use crate::segments::{CalibrationChange, CameraInfos};
 use crate::topics::{Topic, find_pair, ours};
 
 /// Longest time between the images of a pair by default: cameras with a common trigger are within it.
@@ -26,6 +27,9 @@ const SEARCHED_MAX: usize = 20_000;
 /// Images that are read at most in search of one that is not damaged.
 const DAMAGED_MAX: usize = 64;
 
+/// Middle of the left exposure, and middle of the right one minus it, nanoseconds.
+pub type PairTimes = (MonotonicTime, i64);
+
 /// How the pairs of a recording are found.
 #[derive(Clone, Debug)]
 pub struct PairOptions {
@@ -35,11 +39,13 @@ pub struct PairOptions {
     pub within: Duration,
     /// Values of images with more than 8 bits that become black and white; measured on the first pair if absent.
     pub range: Option<ValueRange>,
+    /// Which of the [segments](StereoBag::segments) [`StereoBag::calibration`] reads, from 1 on; the first one if absent.
+    pub segment: Option<usize>,
 }
 
 impl Default for PairOptions {
     fn default() -> Self {
-        Self { topics: None, within: PAIR_WITHIN, range: None }
+        Self { topics: None, within: PAIR_WITHIN, range: None, segment: None }
     }
 }
 
@@ -80,44 +86,6 @@ pub struct BagPairs {
     matching: Matching<RawMessage>,
     notes: Vec<String>,
     is_over: bool,
-}
-
-/// A `camera_info` with other numbers than the one before it on its topic.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct CalibrationChange {
-    /// The topic.
-    pub topic: String,
-    /// Its time: images from then on have the new calibration.
-    pub at: MonotonicTime,
-}
-
-/// The `camera_info` of a camera so far.
-struct CameraInfos {
-    /// None: the calibration is not that of a `camera_info`.
-    topic: Option<String>,
-    first: Option<CameraInfo>,
-    change: Option<MonotonicTime>,
-}
-
-impl CameraInfos {
-    /// Notes the first change.
-    fn take(&mut self, message: &RawMessage) -> Result<(), BagError> {
-        let info: CameraInfo = decoded(message)?;
-        let first = self.first.get_or_insert_with(|| info.clone());
-        if self.change.is_none() && !has_same_numbers(first, &info) {
-            self.change = Some(stamp(message)?);
-        }
-        Ok(())
-    }
-}
-
-/// Whether all but the headers agree; what is no number agrees with itself.
-fn has_same_numbers(a: &CameraInfo, b: &CameraInfo) -> bool {
-    let same =
-        |a: &[f64], b: &[f64]| a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a == b || (a.is_nan() && b.is_nan()));
-    let window = |info: &CameraInfo| (info.width, info.height, info.binning_x.max(1), info.binning_y.max(1));
-    (window(a), &a.roi, &a.distortion_model) == (window(b), &b.roi, &b.distortion_model)
-        && [(&a.d[..], &b.d[..]), (&a.k, &b.k), (&a.r, &b.r), (&a.p, &b.p)].into_iter().all(|(a, b)| same(a, b))
 }
 
 struct Stamped {
@@ -164,10 +132,15 @@ impl StereoBag {
         self.topics[0].messages.min(self.topics[1].messages)
     }
 
+    /// Number of the segment that was asked for.
+    pub fn segment(&self) -> Option<usize> {
+        self.options.segment
+    }
+
     /// The calibration in the recording, as the user states it: that of a run of this program, or the two `camera_info` beside the images.
     ///
     /// # Errors
-    /// If there is none, or it cannot be used.
+    /// If there is none, or it cannot be used, and a segment that does not exist.
     pub fn calibration(&self, stated: &StatedCalibration) -> Result<StereoCalibration, BagError> {
         let file = self.bag.path();
         let missing = |why: String| BagError::NoCalibration { file: file.to_path_buf(), why };
@@ -176,6 +149,10 @@ impl StereoBag {
         let absent: Vec<&str> = names.iter().map(String::as_str).filter(|name| !has(name)).collect();
         if !has(ours::CALIBRATION) && !absent.is_empty() {
             return Err(missing(format!("no topic {}", absent.join(" and "))));
+        }
+        if let Some(number) = self.options.segment {
+            let infos = self.infos_of_segment(number)?;
+            return self.of_camera_infos(infos.each_ref(), stated);
         }
         let mut found: [Option<CameraInfo>; 2] = [None, None];
         for message in self.bag.messages().take(SEARCHED_MAX) {
@@ -259,8 +236,7 @@ impl StereoBag {
     /// All pairs.
     pub fn pairs(&self) -> BagPairs {
         let is_ours = self.bag.topics().iter().any(|topic| topic.name == ours::CALIBRATION);
-        let infos =
-            |topic: &Topic| CameraInfos { topic: (!is_ours).then(|| topic.camera_info()), first: None, change: None };
+        let infos = |topic: &Topic| CameraInfos::of((!is_ours).then(|| topic.camera_info()));
         BagPairs {
             messages: Box::new(self.bag.messages()),
             infos: self.topics.each_ref().map(infos),
@@ -279,14 +255,11 @@ impl BagPairs {
         self.matching.left_out()
     }
 
-    /// The first change of the calibration so far that holds for a pair of this time.
-    pub fn change_before(&self, (left_at, skew_nanos): (MonotonicTime, i64)) -> Option<CalibrationChange> {
-        let right_at = MonotonicTime::from_nanos(left_at.as_nanos().saturating_add_signed(skew_nanos));
-        let change = |(infos, at): (&CameraInfos, MonotonicTime)| {
-            let change = infos.change.filter(|change| *change <= at)?;
-            Some(CalibrationChange { topic: infos.topic.clone()?, at: change })
-        };
-        self.infos.iter().zip([left_at, right_at]).filter_map(change).min_by_key(|change| change.at)
+    /// The first change of the calibration so far that holds for a pair of these times, and for the one before it did not.
+    pub(crate) fn change_between(&self, before: Option<PairTimes>, now: PairTimes) -> Option<CalibrationChange> {
+        let [from, to] = [before.map(of_both), Some(of_both(now))];
+        let changes = (0..2).filter_map(|side| self.infos[side].change_between(from.map(|from| from[side]), to?[side]));
+        changes.min_by_key(|change| change.at)
     }
 
     /// What the user should know since the last call.
@@ -298,8 +271,16 @@ impl BagPairs {
     ///
     /// # Errors
     /// If the recording is damaged.
-    pub fn skip_pair(&mut self) -> Result<Option<(MonotonicTime, i64)>, BagError> {
+    pub fn skip_pair(&mut self) -> Result<Option<PairTimes>, BagError> {
         self.next_match().map(|found| found.map(|found| times(&found))).transpose()
+    }
+
+    /// The times of all pairs that follow.
+    ///
+    /// # Errors
+    /// If the recording is damaged.
+    pub fn skip_all(&mut self) -> Result<Vec<PairTimes>, BagError> {
+        std::iter::from_fn(|| self.skip_pair().transpose()).collect()
     }
 
     /// The next pair, without conversion of its images; the messages of its left and right image.
@@ -371,7 +352,12 @@ impl Iterator for BagPairs {
     }
 }
 
-fn times([left, right]: &[Stamped; 2]) -> (MonotonicTime, i64) {
+/// Middle of the left and of the right exposure.
+pub(crate) fn of_both((left_at, skew_nanos): PairTimes) -> [MonotonicTime; 2] {
+    [left_at, MonotonicTime::from_nanos(left_at.as_nanos().saturating_add_signed(skew_nanos))]
+}
+
+fn times([left, right]: &[Stamped; 2]) -> PairTimes {
     (left.at, right.at.as_nanos() as i64 - left.at.as_nanos() as i64)
 }
 

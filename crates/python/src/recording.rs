@@ -97,7 +97,7 @@ impl State {
 fn options(
     topics: Option<[String; 2]>,
     pair_within_ms: f64,
-    value_range: Option<(u16, u16)>,
+    (value_range, segment): (Option<(u16, u16)>, Option<usize>),
     (skew_ms, rate_hz): (Option<f64>, Option<f64>),
     calibration: CalibrationOptions,
 ) -> Result<RecordingOptions> {
@@ -110,6 +110,9 @@ fn options(
     if !(0.0..=1000.0).contains(&pair_within_ms) {
         bail!("pair_within_ms is {pair_within_ms}: must be between 0 and 1000 milliseconds");
     }
+    if segment == Some(0) {
+        bail!("segment is 0: must be a number from 1 on");
+    }
     let of_values = |(low, high)| {
         ValueRange::new(low, high)
             .ok_or_else(|| anyhow!("value_range is ({low}, {high}): the first value must be less than the second"))
@@ -118,6 +121,7 @@ fn options(
         topics: topics.map(Topics),
         pair_within: Duration::from_secs_f64(pair_within_ms * 1e-3),
         range: value_range.map(of_values).transpose()?,
+        segment,
         layout: None,
         skew: skew_ms.map(SkewMillis),
         rate: rate_hz.map(PairsPerSecond),
@@ -139,10 +143,10 @@ impl Recording {
     /// `calibration`: a calibration file or a list of files, as in `StereoRig.load`, instead of that of the recording. `topics`: those of the left and the right
     /// images in an MCAP file; by default two that differ only in left and right. `pair_within_ms`: the longest time between the images of a
     /// pair. `value_range`: the values that become black and white in images with 16 bits; measured on the first pair by default.
-    /// `skew_ms`: middle of the right exposure minus middle of the left one in every pair. `rate_hz`: pairs per second, if the recording has no
+    /// `segment`: the part of an MCAP file whose `camera_info` changes, from 1 on. `skew_ms`: middle of the right exposure minus middle of the left one in every pair. `rate_hz`: pairs per second, if the recording has no
     /// times. `calibration_unit`, `calibrated_size`, `lens` and `rectified` are those of `StereoRig.load`.
     #[new]
-    #[pyo3(signature = (path, *, calibration=None, topics=None, pair_within_ms=3.0, value_range=None, skew_ms=None, rate_hz=None, calibration_unit=None, calibrated_size=None, lens=None, rectified=false))]
+    #[pyo3(signature = (path, *, calibration=None, topics=None, pair_within_ms=3.0, value_range=None, segment=None, skew_ms=None, rate_hz=None, calibration_unit=None, calibrated_size=None, lens=None, rectified=false))]
     #[expect(clippy::too_many_arguments, reason = "keywords of Python")]
     fn new(
         py: Python<'_>,
@@ -151,6 +155,7 @@ impl Recording {
         topics: Option<[String; 2]>,
         pair_within_ms: f64,
         value_range: Option<(u16, u16)>,
+        segment: Option<usize>,
         skew_ms: Option<f64>,
         rate_hz: Option<f64>,
         calibration_unit: Option<&str>,
@@ -160,7 +165,8 @@ impl Recording {
     ) -> PyResult<Self> {
         let calibration = Calibration::files(calibration).or_raise(py)?;
         let stated = stated(calibration_unit, calibrated_size, lens, rectified).or_raise(py)?;
-        let options = options(topics, pair_within_ms, value_range, (skew_ms, rate_hz), stated).or_raise(py)?;
+        let options =
+            options(topics, pair_within_ms, (value_range, segment), (skew_ms, rate_hz), stated).or_raise(py)?;
         let opened = py.detach(|| wire_replay(&path, &calibration, &options, ReplayPace::Fast)).or_raise(py)?;
         let calibration = opened.camera.calibration().clone();
         let range = opened.search.as_ref().map(range_of_dataset);

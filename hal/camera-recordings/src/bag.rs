@@ -5,8 +5,8 @@ use std::fmt;
 use image::RgbImage;
 use pb3dp_bag::BagError;
 use pb3dp_bag::matching::LeftOut;
-use pb3dp_bag::pairs::{BagPairs, CalibrationChange, StereoBag};
-use pb3dp_geometry::MonotonicTime;
+use pb3dp_bag::pairs::{BagPairs, PairTimes, StereoBag};
+use pb3dp_bag::segments::Segment;
 
 /// Reads pairs; quickest in their order.
 pub(crate) struct BagImages {
@@ -19,10 +19,9 @@ pub(crate) struct BagImages {
 /// Times of the pairs of a recording.
 pub(crate) struct BagTimes {
     /// Middle of the left exposure and skew in nanoseconds of each pair.
-    pub(crate) times: Vec<(MonotonicTime, i64)>,
+    pub(crate) times: Vec<PairTimes>,
     pub(crate) left_out: LeftOut,
-    /// Number of the first pair with another calibration.
-    pub(crate) changed: Option<(u64, CalibrationChange)>,
+    pub(crate) segments: Vec<Segment>,
 }
 
 impl fmt::Debug for BagImages {
@@ -36,15 +35,11 @@ impl BagImages {
         Self { pairs: bag.pairs(), bag, next: 0 }
     }
 
-    /// Times of all pairs, the images without a partner, and the first pair with another calibration than the recording begins with.
+    /// Times of all pairs, the images without a partner, and the parts with one calibration.
     pub(crate) fn times(bag: &StereoBag) -> Result<BagTimes, BagError> {
         let mut pairs = bag.pairs();
-        let mut times: Vec<(MonotonicTime, i64)> = Vec::new();
-        while let Some(time) = pairs.skip_pair()? {
-            times.push(time);
-        }
-        let changed = (0..).zip(&times).find_map(|(number, time)| Some((number, pairs.change_before(*time)?)));
-        Ok(BagTimes { left_out: pairs.left_out(), times, changed })
+        let times = pairs.skip_all()?;
+        Ok(BagTimes { left_out: pairs.left_out(), segments: pairs.segments(&times), times })
     }
 
     /// The images of the pair with this number in the recording.

@@ -45,6 +45,7 @@ impl Kind {
         let is_paired = is_bag || matches!(self, Self::Euroc(_));
         let without_effect = [
             ("--topics", asked.topics.is_some() && !is_bag, "only MCAP recordings have topics"),
+            ("--segment", asked.segment.is_some() && !is_bag, "only the calibration of MCAP recordings changes"),
             (
                 "--pair-within",
                 asked.pair_within != PAIR_WITHIN && !is_paired,
@@ -74,7 +75,8 @@ impl Kind {
         }
         if Bag::is_one(path) {
             let topics = asked.topics.clone().map(|Topics(names)| names);
-            let pairing = PairOptions { topics, within: asked.pair_within, range: asked.range };
+            let (within, range, segment) = (asked.pair_within, asked.range, asked.segment);
+            let pairing = PairOptions { topics, within, range, segment };
             return StereoBag::open(path, pairing).map(Self::Bag).map_err(|error| unusable_bag(path, error));
         }
         if let Some(cameras) = euroc::camera_folders(path) {

@@ -64,6 +64,10 @@ pub struct RecordingOptions {
     /// Values that become black and white in images with more than 8 bits, such as 0,4095; measured on the first pair by default.
     #[arg(long, value_name = "LOW,HIGH", help_heading = HEADING)]
     pub range: Option<ValueRange>,
+    /// Part of an MCAP recording whose `camera_info` changes: 1 is that until the first change. Without it and without --calib only the first
+    /// one is used.
+    #[arg(long, value_name = "N", value_parser = parse_segment, help_heading = HEADING)]
+    pub segment: Option<usize>,
     /// Arrangement of both views in each image of a folder.
     #[arg(long, help_heading = HEADING, value_parser = PossibleValuesParser::new(ImageLayout::ALL.map(ImageLayout::name)).try_map(|name| name.parse::<ImageLayout>()))]
     pub layout: Option<ImageLayout>,
@@ -123,6 +127,7 @@ impl Default for RecordingOptions {
             topics: None,
             pair_within: PAIR_WITHIN,
             range: None,
+            segment: None,
             layout: None,
             skew: None,
             rate: None,
@@ -155,6 +160,10 @@ fn parse_skew(text: &str) -> Result<SkewMillis, String> {
         Ok(millis) if millis.abs() <= SkewMillis::MAX => Ok(SkewMillis(millis)),
         _ => Err(format!("{text:?}: must be between -{0} and {0} milliseconds", SkewMillis::MAX)),
     }
+}
+
+fn parse_segment(text: &str) -> Result<usize, String> {
+    text.parse().ok().filter(|number| *number > 0).ok_or_else(|| format!("{text:?}: must be a number from 1 on"))
 }
 
 fn parse_rate(text: &str) -> Result<PairsPerSecond, String> {

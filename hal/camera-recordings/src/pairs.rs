@@ -5,7 +5,8 @@ use std::time::Duration;
 
 use image::RgbImage;
 use pb3dp_bag::BagError;
-use pb3dp_bag::pairs::{CalibrationChange, StereoBag};
+use pb3dp_bag::pairs::StereoBag;
+use pb3dp_bag::segments::{CalibrationChange, Segment};
 use pb3dp_camera_settings::ImageLayout;
 use pb3dp_geometry::{ImageSize, MonotonicTime};
 use pb3dp_hal_api::{CameraError, CameraErrorKind};
@@ -35,8 +36,9 @@ pub struct RecordedPairs {
     states_skew: bool,
     /// The images of pairs that are in an MCAP recording.
     bag: Option<BagImages>,
-    /// Number of its first pair with another calibration than it begins with.
-    changed: Option<(u64, CalibrationChange)>,
+    /// The parts of an MCAP recording with one calibration, and the number of the one that was asked for.
+    segments: Vec<Segment>,
+    segment: Option<usize>,
     range: Option<ValueRange>,
     notes: Vec<String>,
     warnings: Vec<String>,
@@ -124,7 +126,8 @@ impl RecordedPairs {
             has_times: true,
             states_skew: false,
             bag: None,
-            changed: None,
+            segments: Vec::new(),
+            segment: None,
             range: asked.range,
             notes,
             warnings,
@@ -132,7 +135,8 @@ impl RecordedPairs {
     }
 
     fn of_bag(path: &Path, bag: &StereoBag, asked: &RecordingOptions, period: Duration) -> Result<Self, CameraError> {
-        let BagTimes { times, left_out, changed } = BagImages::times(bag).map_err(|error| unusable_bag(path, error))?;
+        let BagTimes { times, left_out, segments } =
+            BagImages::times(bag).map_err(|error| unusable_bag(path, error))?;
         let [left, right] = bag.topics().clone().map(|topic| topic.name);
         let notes = vec![format!("images: {left} and {right}")];
         let mut warnings = Vec::new();
@@ -149,7 +153,7 @@ impl RecordedPairs {
         let pairs = (0..).zip(times).map(|(number, (at, skew_nanos))| (Place::Bag(number), at, skew_nanos)).collect();
         let mut found = Self::timed(path, &bag.topics()[0].name, TimedPairs { pairs, left_out }, asked, period)?;
         found.bag = Some(BagImages::new(bag.clone()));
-        found.changed = changed;
+        (found.segments, found.segment) = (segments, bag.segment());
         found.notes.splice(0..0, notes);
         found.warnings.splice(0..0, warnings);
         Ok(found)
@@ -213,23 +217,45 @@ impl RecordedPairs {
         Self { source, notes, ..self }
     }
 
-    /// The same up to the first pair with another calibration than the recording begins with: the later ones need another one.
+    /// The pairs of one segment, whose calibration is that of the recording: the one that was asked for, or the first one. If the user gives a
+    /// calibration, only one that was asked for.
     ///
     /// # Errors
-    /// Kind `Unusable` if this is the first pair.
-    pub fn with_first_calibration(mut self) -> Result<Self, CameraError> {
-        let Some((number, CalibrationChange { topic, at })) = self.changed.take() else { return Ok(self) };
-        let change = format!("the calibration changes at pair {number} ({topic}, {:.6} s)", at.as_secs_f64());
-        let rest = "a file of their own, or --calib with a calibration of all pairs";
-        let Some(source) = self.source.before(number, self.period().unwrap_or(PERIOD)) else {
-            let message = format!("{}: {change}, before the first pair that is used; its pairs need {rest}", self.name);
-            return Err(CameraError::new(CameraErrorKind::Unusable, message));
+    /// Kind `Unusable` if it has no pair, or the first one does not begin with the calibration of the recording.
+    pub fn with_one_calibration(mut self, is_given: bool) -> Result<Self, CameraError> {
+        let (asked, is_alone) =
+            (self.segment, self.segments.len() < 2 && self.segments.iter().all(|one| one.change.is_none()));
+        if asked.is_none() && (is_given || is_alone) {
+            return Ok(self);
+        }
+        let number = asked.unwrap_or(1);
+        let refuse = |why: String| Err(CameraError::new(CameraErrorKind::Unusable, format!("{}: {why}", self.name)));
+        let rest = "--calib with a calibration of all pairs";
+        let Some(segment) = number.checked_sub(1).and_then(|index| self.segments.get(index)) else {
+            return refuse(format!("--segment {number} does not exist: there are {}", self.segments.len()));
         };
-        self.warnings.push(format!(
-            "the recording ends where {change}: {} pairs are used, and {} are not; these need {rest}",
-            source.pairs(),
-            self.source.pairs() - source.pairs()
-        ));
+        if let (None, Some(change)) = (asked, &segment.change) {
+            return refuse(format!(
+                "{}, before its first pair: state --segment 1 for the calibration of that pair, or give {rest}",
+                changes(segment, change)
+            ));
+        }
+        let next = self.segments.get(number);
+        let numbers = segment.first..next.map_or(u64::MAX, |next| next.first);
+        let Some(source) = self.source.with_numbers(numbers, self.period().unwrap_or(PERIOD)) else {
+            return refuse(format!("segment {number} has no pair that can be used"));
+        };
+        if let Some((next, change)) =
+            next.and_then(|next| Some((next, next.change.as_ref()?))).filter(|_| asked.is_none())
+        {
+            self.warnings.push(format!(
+                "the recording ends where {}: {} pairs are used, and {} are not; these need --segment 2{}, or {rest}",
+                changes(next, change),
+                source.pairs(),
+                self.source.pairs() - source.pairs(),
+                if self.segments.len() > 2 { format!(" to {}", self.segments.len()) } else { String::new() }
+            ));
+        }
         Ok(Self { source, ..self })
     }
 
@@ -374,6 +400,10 @@ impl RecordedPairs {
     pub fn take_warnings(&mut self) -> Vec<String> {
         std::mem::take(&mut self.warnings)
     }
+}
+
+fn changes(segment: &Segment, CalibrationChange { topic, at }: &CalibrationChange) -> String {
+    format!("the calibration changes at pair {} ({topic}, {:.6} s)", segment.first, at.as_secs_f64())
 }
 
 fn warnings_of(sequence: &Sequence) -> Vec<String> {

@@ -93,11 +93,12 @@ impl Source {
         (self.part(left_out..self.pairs.len(), period), left_out as u64)
     }
 
-    /// The same without the pair of an MCAP recording with this number and all after it; `None` if none is left.
-    pub(crate) fn before(&self, number: u64, period: Duration) -> Option<Self> {
-        let is_after = |pair: &RecordedPair| matches!(pair.place, Place::Bag(of_pair) if of_pair >= number);
-        let end = self.pairs.iter().position(is_after).unwrap_or(self.pairs.len());
-        (end > 0).then(|| self.part(0..end, period))
+    /// The pairs of an MCAP recording with these numbers; `None` if none is left.
+    pub(crate) fn with_numbers(&self, numbers: Range<u64>, period: Duration) -> Option<Self> {
+        let is_before = |pair: &RecordedPair, end: u64| matches!(pair.place, Place::Bag(number) if number < end);
+        let [from, to] =
+            [numbers.start, numbers.end].map(|end| self.pairs.partition_point(|pair| is_before(pair, end)));
+        (from < to).then(|| self.part(from..to, period))
     }
 
     fn part(&self, range: Range<usize>, period: Duration) -> Self {

@@ -48,9 +48,7 @@ impl Recording {
         let path = folder_of(path);
         let kind = Kind::of(path, asked)?;
         let mut pairs = RecordedPairs::of(path, &kind, asked, options.period)?;
-        if calibration.is_empty() {
-            pairs = pairs.with_first_calibration()?;
-        }
+        pairs = pairs.with_one_calibration(!calibration.is_empty())?;
         let size = pairs.image_size();
         let calibration = kind.calibration(path, calibration, (&asked.calibration.stated(), size))?;
         let marked = kind.marked(path)?;

@@ -35,7 +35,7 @@ pub struct ExtractArgs {
 /// # Errors
 /// A recording that cannot be used, or a folder that is not empty or cannot be written.
 pub fn run(args: &ExtractArgs) -> Result<ExitCode> {
-    let mut pairs = RecordedPairs::open(&args.recording, &args.how.all())?.with_first_calibration()?;
+    let mut pairs = RecordedPairs::open(&args.recording, &args.how.all())?.with_one_calibration(false)?;
     if std::fs::read_dir(&args.out).is_ok_and(|mut entries| entries.next().is_some()) {
         bail!("--out {}: is not empty; give another folder", args.out.display());
     }

@@ -10,7 +10,7 @@ use pb3dp_bag::writer::{BagWriter, WhenFull};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Target};
-use pb3dp_record::calibration_files::ros_camera_infos;
+use pb3dp_record::calibration_files::{load_stereo, ros_camera_infos};
 use pb3dp_record::dataset::{SearchRange, SequenceDraft, SequenceWriter, WrittenFrame};
 use pb3dp_record::images::{StoredFormat, load_rgb};
 use pb3dp_sim::targets::TargetConfig;
@@ -470,13 +470,13 @@ fn pairs_whose_times_go_back_repeat_or_jump_are_left_out_and_named() {
 
 /// The calibration of the begin was used for all pairs.
 #[test]
-fn a_recording_ends_where_its_calibration_changes() {
+fn a_change_of_the_calibration_begins_a_segment() {
     let dir = tempfile::tempdir().unwrap();
     let sequence = dir.path().join("sequence");
     record(&sequence);
     let stamps: Vec<usize> = (0..FRAMES).collect();
     let warning = format!(
-        "the calibration changes at pair 4 ({}, 2.132000 s): 4 pairs are used, and 3 are not",
+        "the calibration changes at pair 4 ({}, 2.132000 s): 4 pairs are used, and 3 are not; these need --segment 2,",
         ours::RIGHT_INFO
     );
     for (name, changed_at, used) in [("changed", 4, 4), ("same", 100, FRAMES), ("at_once", 0, FRAMES)] {
@@ -495,5 +495,15 @@ fn a_recording_ends_where_its_calibration_changes() {
         let extracted = pb3dp(&words(&[&"extract", &bag, &"--out", &out])).assert_success();
         assert_eq!(std::fs::read_dir(out.join("right")).unwrap().count(), used);
         assert_eq!(extracted.stderr.contains(&warning), name == "changed", "{}", extracted.stderr);
+        let second = dir.path().join(format!("{name}_2"));
+        let extracted = pb3dp(&words(&[&"extract", &bag, &"--segment", &"2", &"--out", &second]));
+        if name != "changed" {
+            assert!(extracted.stderr.contains("--segment 2 does not exist: there are 1"));
+            continue;
+        }
+        extracted.assert_success();
+        assert_eq!(std::fs::read_dir(second.join("right")).unwrap().count(), FRAMES - 4);
+        let focal_px = |folder: &Path| load_stereo(&[folder.join("calib.json")]).unwrap().rig.right().pinhole().fx;
+        assert!((focal_px(&second) / focal_px(&out) - 1.1).abs() < 1e-9);
     }
 }

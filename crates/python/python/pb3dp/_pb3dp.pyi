@@ -246,6 +246,7 @@ class Recording:
         topics: Sequence[str] | None = None,
         pair_within_ms: float = 3.0,
         value_range: tuple[int, int] | None = None,
+        segment: int | None = None,
         skew_ms: float | None = None,
         rate_hz: float | None = None,
         calibration_unit: str | None = None,
