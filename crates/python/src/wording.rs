@@ -1,7 +1,7 @@
 //! Messages of the library name options of the program; the package names its own arguments instead.
 
 /// Options in messages, and the arguments in their place. An option with its value comes before the same one without.
-const ARGUMENTS: [(&str, &str); 23] = [
+const ARGUMENTS: [(&str, &str); 26] = [
     ("--topics LEFT,RIGHT", "topics=(LEFT, RIGHT)"),
     ("--range LOW,HIGH", "value_range=(LOW, HIGH)"),
     ("--calib FILE", "calibration=[FILE]"),
