@@ -12,6 +12,7 @@ pub mod dump;
 mod ensemble_summary;
 mod ensembles;
 pub mod figures;
+mod first_pose;
 mod limits;
 mod measure;
 mod page;

@@ -9,6 +9,7 @@ use pb3dp_kinematics::{Chain, JointState, JointVector};
 use pb3dp_servo::{JointHistory, NotInHistory};
 use pb3dp_setup::setup::{ArmSetup, Setup, Truth};
 use pb3dp_sim::joint_dynamics::JointPlant;
+use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::{PoseSource, ScenePoses};
 use pb3dp_sim::trajectory::Trajectory;
 
@@ -128,6 +129,8 @@ pub struct SimulatedCell {
     pub flange_from_target: Pose<Flange, Target>,
     /// Motion of a free target, which no arm carries.
     pub free_target: Option<FreeTarget>,
+    /// What the cameras see, if they have images.
+    pub scene: Option<Arc<StereoRenderer>>,
 }
 
 /// A free target, which no arm carries.
@@ -159,6 +162,7 @@ impl SimulatedCell {
             hand_from_cam_left: setup.controller.hand_from_cam_left,
             flange_from_target: setup.rig.flange_from_target,
             free_target: None,
+            scene: None,
         }
     }
 

@@ -8,12 +8,13 @@ use pb3dp_estimation::estimator::{FramePrior, Method, Tracker};
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::Pose;
-use pb3dp_geometry::frames::{CamLeft, Target};
+use pb3dp_geometry::frames::{CamLeft, Model, Target};
 use pb3dp_hal_api::FramePair;
 use pb3dp_setup::setup::Setup;
 
 use super::log::{FrameSample, MethodLog};
 use crate::follower::Follower;
+use crate::noting::true_model_frame;
 use crate::perception::NOT_SELECTED;
 
 /// One compared method.
@@ -76,17 +77,18 @@ pub struct Frame<'a> {
     pub prior: &'a FramePrior,
     /// The true pose, if there is one.
     pub cam_left_from_target: Option<Pose<CamLeft, Target>>,
+    /// The true plane of the target, if there is one.
+    pub cam_left_from_plane: Option<Pose<CamLeft, Model>>,
     /// Age of the leading method's estimate when the controller receives it, milliseconds.
     pub age_millis: Option<f64>,
 }
 
 /// Depth error (metres, on the ray of the estimated origin) and angle between the normals (radians) of an estimate.
-pub fn plane_errors(estimate: &TrackEstimate, cam_left_from_target: &Pose<CamLeft, Target>) -> Option<(f64, f64)> {
+pub fn plane_errors(estimate: &TrackEstimate, cam_left_from_plane: &Pose<CamLeft, Model>) -> Option<(f64, f64)> {
     let pose = estimate.cam_left_from_model?;
-    let away = cam_left_from_target.transform_vector(&Vector3::z());
-    let origin = pose.translation_m();
-    let true_depth_m = away.dot(&cam_left_from_target.translation_m()) / away.dot(&(origin / origin.z));
-    Some((origin.z - true_depth_m, pose.transform_vector(&Vector3::z()).angle(&away)))
+    let truth = true_model_frame(&pose, cam_left_from_plane)?;
+    let normals = [&pose, &truth].map(|pose| pose.transform_vector(&Vector3::z()));
+    Some((pose.translation_m().z - truth.translation_m().z, normals[0].angle(&normals[1])))
 }
 
 impl MethodLog {
@@ -96,7 +98,7 @@ impl MethodLog {
 
     /// Records the estimate of a frame.
     pub fn push(&mut self, frame: &Frame<'_>, estimate: &TrackEstimate, latency_millis: f64) {
-        let errors = frame.cam_left_from_target.as_ref().and_then(|truth| plane_errors(estimate, truth));
+        let errors = frame.cam_left_from_plane.as_ref().and_then(|truth| plane_errors(estimate, truth));
         self.rotation_about_normal_observed |= estimate.rotation_about_normal_observed;
         self.estimated.push(estimate.cam_left_from_model);
         self.truth.extend(frame.cam_left_from_target.as_ref().map(Pose::relabel));
@@ -141,7 +143,14 @@ mod tests {
     fn frames_before_a_selection_are_not_lost() {
         let mut log = MethodLog::new(Method::Direct);
         let prior = FramePrior::default();
-        let frame = Frame { t_s: 0.0, region: None, prior: &prior, cam_left_from_target: None, age_millis: None };
+        let frame = Frame {
+            t_s: 0.0,
+            region: None,
+            prior: &prior,
+            cam_left_from_target: None,
+            cam_left_from_plane: None,
+            age_millis: None,
+        };
         for reason in [NOT_SELECTED, "out of sight"] {
             log.push(&frame, &TrackEstimate::without_pose(Status::Lost, reason.to_owned()), 1.0);
         }

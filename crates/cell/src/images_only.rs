@@ -102,6 +102,7 @@ impl ImagesOnly {
             region: selection.map(|selection| selection.region),
             prior,
             estimate,
+            target_from_plane: None,
             latency_millis,
             age_millis,
         }

@@ -65,3 +65,4 @@ pub mod summary;
 pub mod supervision;
 pub mod swing;
 pub mod terminal;
+pub mod true_surface;

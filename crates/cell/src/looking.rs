@@ -9,7 +9,7 @@ use pb3dp_estimation::estimator::FramePrior;
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
-use pb3dp_geometry::frames::{Base, CamLeft};
+use pb3dp_geometry::frames::{Base, CamLeft, Model, Target};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::{Clock, FollowedTarget};
 use pb3dp_kinematics::JointState;
@@ -28,6 +28,7 @@ use super::selection::{Choice, Selection, Selections};
 use super::strip::Strip;
 use crate::noting::PairEstimate;
 use crate::perception::View;
+use crate::true_surface::TrueSurface;
 
 /// Camera, estimation and records: each of the three parts may have its own thread.
 pub struct Looking<'a> {
@@ -51,8 +52,9 @@ impl<'a> Looking<'a> {
         record: Option<&Path>,
     ) -> Result<Self> {
         let cameras = Perception::new(setup, &camera, marking.clone())?;
+        let surface = cell.scene.as_deref().map(|scene| TrueSurface::new(scene.clone()));
         Ok(Self {
-            estimating: Estimating::new(setup, Arc::clone(clock), cameras),
+            estimating: Estimating { surface, ..Estimating::new(setup, Arc::clone(clock), cameras) },
             noting: EstimateRecorder::new(setup, marking, (strip, clock.now()), record)?,
             capturing: Capturing::new(setup, camera, cell),
         })
@@ -119,6 +121,9 @@ pub struct Estimating<'a> {
     previous: Option<(MonotonicTime, Option<Pose<Base, CamLeft>>)>,
     /// Whether the previous estimate was `miscalibrated`, which the log has said then.
     was_miscalibrated: bool,
+    /// The true surface, in simulation, and its plane in the region of the present target.
+    surface: Option<TrueSurface>,
+    target_from_plane: Option<Pose<Target, Model>>,
 }
 
 impl<'a> Estimating<'a> {
@@ -138,6 +143,8 @@ impl<'a> Estimating<'a> {
             steps: 0,
             previous: None,
             was_miscalibrated: false,
+            surface: None,
+            target_from_plane: None,
         }
     }
 
@@ -192,6 +199,7 @@ impl<'a> Estimating<'a> {
             controls.note_target(self.followed(&estimate));
         }
         let latency_millis = started.elapsed().as_secs_f64() * 1e3;
+        self.note_truth(chosen.as_ref(), region.as_ref(), &captured);
         if region.is_some() {
             for warning in &estimate.warnings {
                 tracing::warn!("{warning}");
@@ -214,8 +222,31 @@ impl<'a> Estimating<'a> {
             Pace::Live => self.clock.now().saturating_since(captured.frame.at),
         };
         let age_millis = age.as_secs_f64() * 1e3;
-        let (steps, target) = (self.steps, self.target);
-        Ok(PairEstimate { captured, steps, chosen, target, region, prior, estimate, latency_millis, age_millis })
+        let (steps, target, target_from_plane) = (self.steps, self.target, self.target_from_plane);
+        Ok(PairEstimate {
+            captured,
+            steps,
+            chosen,
+            target,
+            region,
+            prior,
+            estimate,
+            target_from_plane,
+            latency_millis,
+            age_millis,
+        })
+    }
+
+    /// The true plane of a new target.
+    fn note_truth(&mut self, chosen: Option<&Choice>, region: Option<&Region>, captured: &Captured) {
+        let Some(surface) = &mut self.surface else { return };
+        surface.note(captured);
+        let Some(region) = region else { return };
+        let selection = match chosen {
+            Some(Choice::Marked(selection)) => selection.clone(),
+            _ => Selection { region: region.clone(), drawn_on: None },
+        };
+        self.target_from_plane = surface.plane(&selection, captured);
     }
 
     /// The target, for the exposure of the cameras.

@@ -95,23 +95,24 @@ impl<'a> EstimateRecorder<'a> {
     pub fn note(&mut self, seen: &PairEstimate) -> Result<()> {
         let PairEstimate { captured, region, prior, estimate, latency_millis, age_millis, .. } = seen;
         let Captured { frame, cam_left_from_target, view } = captured;
+        let cam_left_from_plane = seen.cam_left_from_plane();
         let t_s = frame.at.seconds_since(self.begin);
         if region.is_some() {
             self.lock = None;
         }
-        if let (None, Some(found), Some(cam_left_from_target)) =
-            (&self.lock, &estimate.cam_left_from_model, cam_left_from_target)
+        if let (None, Some(found), Some(cam_left_from_target), Some(plane)) =
+            (&self.lock, &estimate.cam_left_from_model, cam_left_from_target, &cam_left_from_plane)
         {
-            self.lock = true_model_frame(found, cam_left_from_target).map(|target_from_model| Lock {
+            self.lock = true_model_frame(found, plane).map(|cam_left_from_model| Lock {
                 at_s: t_s,
-                target_from_model,
+                target_from_model: cam_left_from_target.inverse() * cam_left_from_model,
                 target_from_model_found: cam_left_from_target.inverse() * *found,
                 covariance: estimate.covariance,
             });
         }
         let age_millis = Some(*age_millis);
-        let frame =
-            Frame { t_s, region: region.as_ref(), prior, cam_left_from_target: *cam_left_from_target, age_millis };
+        let (region, cam_left_from_target) = (region.as_ref(), *cam_left_from_target);
+        let frame = Frame { t_s, region, prior, cam_left_from_target, cam_left_from_plane, age_millis };
         self.leading.push(&frame, estimate, *latency_millis);
         let frame = Frame { age_millis: None, ..frame };
         let View::Images(pair) = view else { return Ok(()) };
@@ -128,7 +129,7 @@ impl<'a> EstimateRecorder<'a> {
             (true, ..) => None,
             // The recording begins with the first target.
             (false, Marking::Awaited, None) => return Ok(()),
-            (false, Marking::Awaited, Some(region)) => Some(outline_px(region.clone(), estimate)),
+            (false, Marking::Awaited, Some(region)) => Some(outline_px(Region::clone(region), estimate)),
             (false, marking, _) => {
                 Some(outline_px(marking.region(self.setup, cam_left_from_target.as_ref())?, estimate))
             }
@@ -175,16 +176,16 @@ pub fn outline_px(region: Region, estimate: &TrackEstimate) -> Vec<Vector2<f64>>
     }
 }
 
-/// True pose of the model frame on the target: on the target plane, on the ray of the estimated origin.
+/// True pose of the model frame: on the true plane, on the ray of the estimated origin.
 pub fn true_model_frame(
     cam_left_from_model: &Pose<CamLeft, Model>,
-    cam_left_from_target: &Pose<CamLeft, Target>,
-) -> Option<Pose<Target, Model>> {
-    let away = cam_left_from_target.transform_vector(&Vector3::z());
+    cam_left_from_plane: &Pose<CamLeft, Model>,
+) -> Option<Pose<CamLeft, Model>> {
+    let away = cam_left_from_plane.transform_vector(&Vector3::z());
     let origin = cam_left_from_model.translation_m();
     let ray = origin / origin.z;
-    let true_depth_m = away.dot(&cam_left_from_target.translation_m()) / away.dot(&ray);
-    Some(cam_left_from_target.inverse() * model_frame_on_plane(ray * true_depth_m, &-away)?)
+    let true_depth_m = away.dot(&cam_left_from_plane.translation_m()) / away.dot(&ray);
+    model_frame_on_plane(ray * true_depth_m, &-away)
 }
 
 /// Estimate of one pair.
@@ -204,6 +205,10 @@ pub struct PairEstimate {
     pub prior: FramePrior,
     /// The estimate.
     pub estimate: TrackEstimate,
+    /// The true plane of the target, in simulation with images: that of its visible surface inside the region, see [`TrueSurface`].
+    ///
+    /// [`TrueSurface`]: crate::true_surface::TrueSurface
+    pub target_from_plane: Option<Pose<Target, Model>>,
     /// Wall time of the method, milliseconds.
     pub latency_millis: f64,
     /// From mid-exposure until the estimate is available to the controller, milliseconds.
@@ -211,6 +216,13 @@ pub struct PairEstimate {
 }
 
 impl PairEstimate {
+    /// The true plane in this pair: that of the surface, or without one the plane z = 0 of the target.
+    pub fn cam_left_from_plane(&self) -> Option<Pose<CamLeft, Model>> {
+        let target_from_plane =
+            self.target_from_plane.unwrap_or_else(|| Pose::<Target, Target>::coincident().relabel());
+        Some(self.captured.cam_left_from_target? * target_from_plane)
+    }
+
     /// Input of the motion half.
     pub fn percept(&self) -> Percept {
         Percept::new(self.captured.frame, &self.estimate, self.target, self.observation())

@@ -85,7 +85,8 @@ impl Spectator for PanelSpectator {
         }
         let poses = estimate.cam_left_from_model.zip(captured.cam_left_from_target);
         if let (None, Some((found, truth))) = (self.target_from_model, poses) {
-            self.target_from_model = true_model_frame(&found, &truth);
+            let cam_left_from_model = seen.cam_left_from_plane().and_then(|plane| true_model_frame(&found, &plane));
+            self.target_from_model = cam_left_from_model.map(|pose| truth.inverse() * pose);
         }
         let cam_left_from_model_true =
             captured.cam_left_from_target.zip(self.target_from_model).map(|(truth, fixed)| truth * fixed);

@@ -14,9 +14,9 @@ mod view;
 mod visibility;
 
 use image::RgbImage;
-use nalgebra::{Isometry3, Vector2};
+use nalgebra::{Isometry3, Matrix3, Vector2, Vector3};
 use pb3dp_computing::wide;
-use pb3dp_geometry::{CameraError, ImageSize, StereoRig};
+use pb3dp_geometry::{Camera, CameraError, ImageSize, StereoRig};
 
 use self::coverage::EdgePixels;
 pub use self::exposure::{Exposure, Shutter};
@@ -79,6 +79,38 @@ pub struct GroundTruth {
     pub depth_m: Vec<f32>,
     /// The visible object.
     pub object: Vec<SceneObject>,
+}
+
+impl GroundTruth {
+    /// Pixels that show one of these objects, `(column, row)`, with their depth in metres.
+    pub fn pixels<'a>(&'a self, objects: &'a [SceneObject]) -> impl Iterator<Item = ([u32; 2], f64)> + 'a {
+        let pixels = self.object.iter().zip(&self.depth_m).zip(0..);
+        let shown = pixels.filter(|((object, _), _)| objects.contains(object));
+        shown.map(|((_, depth_m), index)| ([index % self.size.width, index / self.size.width], f64::from(*depth_m)))
+    }
+
+    /// The plane of the visible target in a region: [`Self::plane`] through its pixels there; with those of the panel behind it, which the same arm
+    /// carries, if the target has less than half of the region.
+    pub fn plane_in(&self, camera: &Camera, is_inside: impl Fn([u32; 2]) -> bool) -> Option<Vector3<f64>> {
+        const CARRIED: [SceneObject; 2] = [SceneObject::Target, SceneObject::Backdrop];
+        const ALL: [SceneObject; 4] = [SceneObject::Nothing, SceneObject::Room, SceneObject::Backdrop, SceneObject::Target];
+        let inside = |objects: &'static [SceneObject]| self.pixels(objects).filter(|(pixel, _)| is_inside(*pixel));
+        let is_target = 2 * inside(&CARRIED[..1]).count() >= inside(&ALL).count();
+        Self::plane(camera, inside(if is_target { &CARRIED[..1] } else { &CARRIED }))
+    }
+
+    /// The inverse-depth plane `q` (1/depth on a ray `d` with third component 1 is `q . d`, 1/m) of least squares through pixels with a
+    /// depth, metres. The inverse depth of a pixel is its disparity but for a factor, so this is the plane that fits a stereo pair best. `None` if
+    /// they do not span a plane.
+    pub fn plane(camera: &Camera, pixels: impl Iterator<Item = ([u32; 2], f64)>) -> Option<Vector3<f64>> {
+        let (mut information, mut pull) = (Matrix3::zeros(), Vector3::zeros());
+        for (pixel, depth_m) in pixels {
+            let ray = camera.unproject(&pixel.map(f64::from).into()).ok()?;
+            information += ray * ray.transpose();
+            pull += ray / depth_m;
+        }
+        Some(information.try_inverse()? * pull)
+    }
 }
 
 /// A function that calls both closures once, in any order or in parallel.

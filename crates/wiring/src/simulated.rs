@@ -35,6 +35,7 @@ pub(super) fn wire_sight(
             let outline_m = scene.target().outline_m.clone();
             let renderer = StereoRenderer::new(scene, *setup.true_rig(), &world.sensor, world.sensor_seed);
             let mut renderer = renderer.context("table [camera]")?;
+            cell.scene = Some(Arc::new(renderer.clone()));
             if setup.pace != Pace::Fast {
                 // A pair must be ready before the next one.
                 renderer = renderer.with_run_both(at_once);

@@ -70,6 +70,7 @@ impl World {
             hand_from_cam_left: setup.controller.hand_from_cam_left,
             flange_from_target: setup.rig.flange_from_target,
             free_target: None,
+            scene: None,
         };
         let shared = Arc::new(Shared::default());
         let painter = Painter::new(devices, &setup, cell.clone(), Arc::clone(&clock), Arc::clone(&shared))?;

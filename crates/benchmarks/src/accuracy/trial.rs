@@ -1,6 +1,6 @@
 //! One pose of one configuration: the scene, the truth, and the marked region.
 
-use nalgebra::{Matrix3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use pb3dp_estimation_core::estimate::PlaneEstimate;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::frames::{CamLeft, Target, World};
@@ -126,22 +126,12 @@ fn hide(
 
 /// Pixels that show the target, with their depth in metres.
 pub fn target_pixels(seen: &GroundTruth) -> impl Iterator<Item = (Vector2<f64>, f64)> + '_ {
-    let width = seen.size.width as usize;
-    let shown = seen.object.iter().zip(&seen.depth_m).enumerate();
-    shown.filter(|(_, (object, _))| **object == SceneObject::Target).map(move |(index, (_, depth_m))| {
-        (Vector2::new((index % width) as f64, (index / width) as f64), f64::from(*depth_m))
-    })
+    seen.pixels(&[SceneObject::Target]).map(|(pixel, depth_m)| (pixel.map(f64::from).into(), depth_m))
 }
 
 /// The least-squares plane of the inverse depths of the target's visible pixels; `None` if they do not span a plane.
 pub fn fitted_plane(seen: &GroundTruth, camera: &Camera) -> Option<Vector3<f64>> {
-    let (mut normal_matrix, mut right_side) = (Matrix3::zeros(), Vector3::zeros());
-    for (pixel, depth_m) in target_pixels(seen) {
-        let ray = camera.unproject(&pixel).ok()?;
-        normal_matrix += ray * ray.transpose();
-        right_side += ray / depth_m;
-    }
-    Some(normal_matrix.try_inverse()? * right_side)
+    GroundTruth::plane(camera, seen.pixels(&[SceneObject::Target]))
 }
 
 /// The bounding box of an outline.

@@ -383,6 +383,7 @@ impl Loop {
             region,
             prior: FramePrior::default(),
             estimate,
+            target_from_plane: None,
             latency_millis: 2.0,
             age_millis: 20.0,
         });

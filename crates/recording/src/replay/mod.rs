@@ -555,6 +555,7 @@ fn as_recorded(recorded: &RecordedPair) -> Result<PairEstimate> {
         region: result.region.first().map(region).transpose()?,
         prior,
         estimate: recorded_estimate(result)?,
+        target_from_plane: None,
         latency_millis: result.latency_millis,
         age_millis: result.age_millis,
     })
