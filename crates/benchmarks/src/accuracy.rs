@@ -33,11 +33,13 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::{Context, bail};
 use pb3dp_estimation::estimator::Method;
+use pb3dp_sim::targets::TargetConfig;
 use serde_json::json;
 
 use crate::common::circumstances::Circumstances;
 use ensemble_summary::EnsembleSummary;
 use ensembles::EnsembleSpec;
+use first_pose::FirstPoses;
 use limits::{Check, Standing};
 use measure::Options;
 use page::Findings;
@@ -130,14 +132,18 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     };
     let cells: Vec<_> = cells::all().into_iter().filter(|cell| args.wants(&cell.name)).collect();
     let (specs, ensembles) = (args.sequences(), args.ensembles());
-    if cells.is_empty() && specs.is_empty() && ensembles.is_empty() {
+    let objects: Vec<_> = first_pose::OBJECTS.into_iter().filter(|(name, _)| args.wants(name)).collect();
+    if cells.is_empty() && specs.is_empty() && ensembles.is_empty() && objects.is_empty() {
         bail!("no configuration, sequence or ensemble has a name with {}", args.only.join(" or "));
     }
     let summaries = measure_cells(&cells, &options, args.json)?;
     let sequences = measure_sequences(&specs, &options, args.json)?;
     let ensembles = measure_ensembles(&ensembles, &options, args.json)?;
-    let checks = limits::checks(&summaries, &sequences, &ensembles);
-    let findings = Findings { cells, summaries, sequences, ensembles, checks, seed: args.seed, quick: args.quick };
+    let first_poses = measure_first_poses(&objects, &options, args.json)?;
+    let mut checks = limits::checks(&summaries, &sequences, &ensembles);
+    checks.extend(first_poses.iter().flat_map(limits::checks_of_first_poses));
+    let (seed, quick) = (args.seed, args.quick);
+    let findings = Findings { cells, summaries, sequences, ensembles, first_poses, checks, seed, quick };
     let circumstances = Circumstances::of(&args.root);
     keep(&args.root, &findings, &circumstances)?;
     if args.is_full() && !args.no_docs {
@@ -227,6 +233,25 @@ fn measure_ensembles(specs: &[EnsembleSpec], options: &Options, as_json: bool) -
     Ok(found)
 }
 
+/// The first poses of all objects.
+fn measure_first_poses(
+    objects: &[(&str, TargetConfig)],
+    options: &Options,
+    as_json: bool,
+) -> anyhow::Result<Vec<FirstPoses>> {
+    let starts = if options.quick { 2 } else { first_pose::STARTS };
+    let found = in_parallel(objects.len(), options.threads, |index| {
+        let (name, target) = objects[index];
+        first_pose::measure(name, target, options.seed, starts)
+    })?;
+    if as_json {
+        found.iter().for_each(|row| println!("{}", row.to_json()));
+    } else if !found.is_empty() {
+        println!("\n{}", table::markdown(&FirstPoses::HEADINGS, found.iter().map(FirstPoses::row)));
+    }
+    Ok(found)
+}
+
 /// Results of `work` for the numbers below `count`, in their order; the first error of any thread.
 fn in_parallel<T: Send>(
     count: usize,
@@ -276,6 +301,7 @@ fn keep(root: &Path, findings: &Findings, circumstances: &Circumstances) -> anyh
         "pairs": findings.summaries.iter().map(Summary::to_json).collect::<Vec<_>>(),
         "sequences": findings.sequences.iter().map(SequenceSummary::to_json).collect::<Vec<_>>(),
         "ensembles": findings.ensembles.iter().map(EnsembleSummary::to_json).collect::<Vec<_>>(),
+        "first_poses": findings.first_poses.iter().map(FirstPoses::to_json).collect::<Vec<_>>(),
         "limits": checks,
     });
     write(&root.join(KEPT), &format!("{kept:#}\n"))

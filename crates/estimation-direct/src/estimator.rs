@@ -14,13 +14,14 @@ use pb3dp_geometry::StereoRig;
 use super::cold_start::{ColdStart, ColdStartConfig};
 use super::colour_planes::Wanted;
 use super::directions::tell;
-use super::disparity_plane::{DisparityPlane, DisparityRange};
+use super::disparity_plane::{DisparityPlane, DisparityRange, inverse_depth_from_disparity};
 use super::final_plane::final_plane;
 use super::front_end::StereoFrontEnd;
 use super::raw_view::RawView;
 use super::region_pyramid::{PyramidSource, RegionPyramid};
 use super::shape::{self, ShapePixel};
 use super::spread::{Spread, include_second};
+use super::surface_plane::surface_plane;
 use super::tilt_limits::TiltLimits;
 use super::verdict::{
     DirectVerdictConfig, SAME_IMAGE, Searched, Steeper, is_no_plane, judge, lies_beyond, may_be_unseen, nothing_found,
@@ -225,7 +226,8 @@ impl DirectEstimator {
         Ok(estimate)
     }
 
-    fn visible(&mut self, request: &EstimateRequest<'_>) -> Result<Vec<VisiblePoint>, EstimationError> {
+    /// The pixels of the visible surface, the distance of neighbours, and the view that they belong to.
+    fn shape(&mut self, request: &EstimateRequest<'_>) -> Result<(Vec<ShapePixel>, f64, RawView), EstimationError> {
         let MarkedTarget { region, range } = request.marked()?;
         let EstimateRequest { left, right, .. } = *request;
         range.validate()?;
@@ -245,14 +247,36 @@ impl DirectEstimator {
         let mut pyramid = RegionPyramid::default();
         let is_seen = !is_same_image(left, right) && pyramid.update(&self.front_end, &source);
         let search = &self.config.cold_start.search;
-        let pixels = match is_seen {
+        let (pixels, spacing_px) = match is_seen {
             true => {
                 let level = &pyramid.levels()[pyramid.search_level()];
-                shape::shape_of(level, disparity_px, search, self.front_end.kernels())
+                (shape::shape_of(level, disparity_px, search, self.front_end.kernels()), level.scale as f64)
             }
-            false => Vec::new(),
+            false => (Vec::new(), 1.0),
         };
         shape::check_matched(&pixels)?;
+        Ok((pixels, spacing_px, view))
+    }
+
+    /// The inverse-depth plane of least squares through the largest connected surface of a region that is no plane, in `cam_left`, and its
+    /// covariance. `None` if the pair shows too little of it.
+    ///
+    /// # Errors
+    /// As [`EstimationMethod::visible_surface`].
+    pub fn plane_of_surface(
+        &mut self,
+        request: &EstimateRequest<'_>,
+    ) -> Result<Option<(Vector3<f64>, Matrix3<f64>)>, EstimationError> {
+        let (pixels, spacing_px, view) = self.shape(request)?;
+        let Some((plane, covariance)) = surface_plane(&pixels, spacing_px) else { return Ok(None) };
+        let by = view.turn * inverse_depth_from_disparity(&view.geometry, &plane.centre_px);
+        let covariance = covariance + view.covariance_of_errors(&plane);
+        Ok(Some((view.inverse_depth_plane(&plane), by * covariance * by.transpose())))
+    }
+
+    fn visible(&mut self, request: &EstimateRequest<'_>) -> Result<Vec<VisiblePoint>, EstimationError> {
+        let left = request.left;
+        let (pixels, _, view) = self.shape(request)?;
         let camera = self.front_end.raw_rig().left();
         let point = |pixel: &ShapePixel| {
             let z_m = view.depth_m(&pixel.at_px, pixel.disparity_px)?;

@@ -33,6 +33,7 @@ pub mod search;
 mod shape;
 mod spread;
 pub mod surface_choice;
+mod surface_plane;
 mod surroundings;
 mod tilt_limits;
 pub mod verdict;

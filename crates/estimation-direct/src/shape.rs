@@ -24,13 +24,13 @@ const PENALTIES: Penalties = Penalties { small: 30, large: 120 };
 const UNIQUENESS: f32 = 0.1;
 /// Half of the side of the square whose median disparity a pixel gets, pixels of the level. Chosen likewise: with 3 there are 0.4 to 1.3 %
 /// less, with 2 up to 2.5 %.
-const REACH: usize = 5;
+pub(super) const REACH: usize = 5;
 /// Standard deviation of the disparity of a smooth surface, pixels of the level, beside the scatter that the square shows: the noise of
 /// neighbours is not independent.
 const SMOOTH_SIGMA_PX: f64 = 0.2;
 /// Neighbours whose disparities differ by more belong to two surfaces, pixels of the level: the matching charges the small penalty up to
 /// one pixel.
-const EDGE_PX: f32 = 1.0;
+pub(super) const EDGE_PX: f32 = 1.0;
 
 /// Share of a region's pixels that must have a match: with a wrong depth range or exchanged images pixels match by chance. Chosen with
 /// figures: of 21 real regions 63 to 98 % have a match; with ranges beside the object, or exchanged images, 24 to 54 %.

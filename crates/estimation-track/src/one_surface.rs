@@ -34,6 +34,9 @@ const BESIDE_SEVERAL_MIN: f64 = 0.05;
 /// Above this distance of a part's nodes from its plane (root mean square), pixels of disparity, the part is curved. Chosen by hand, not
 /// varied: nodes of a plane lie within 0.1 px, and a relief of 10 mm at half a metre is beyond 1 px.
 const CURVED_FROM_PX: f64 = 0.5;
+/// The same from which a whole target has a relief, so that its frame is that of its visible surface. Chosen by hand, not varied: twice the
+/// distance of nodes of a plane.
+const RELIEF_FROM_PX: f64 = 0.2;
 
 /// A part of the surface.
 #[derive(Clone, Debug, PartialEq)]
@@ -105,7 +108,7 @@ pub(super) fn largest_part(surface: &Surface, pair: Pair<'_>, of_several: bool) 
     let of_part = || nodes.iter().zip(&kept).filter(|(_, kept)| **kept).map(|(node, _)| node);
     let plane = plane_through(of_part())?;
     // The steep border of a curved surface fits badly. Without it the next border does, and the plane tilts with each cut.
-    let is_curved = lies_off_plane(of_part(), &plane, relief);
+    let is_curved = lies_off_plane(of_part(), &plane, relief, CURVED_FROM_PX);
     let beside_min = if of_several && !is_curved { BESIDE_SEVERAL_MIN } else { BESIDE_MIN };
     let beside = sum(false) - sum(true);
     (beside > 0.0 && beside >= beside_min * sum(false)).then_some(Part { plane, nodes: kept })
@@ -113,8 +116,17 @@ pub(super) fn largest_part(surface: &Surface, pair: Pair<'_>, of_several: bool) 
 
 /// Whether the surface is curved.
 pub(super) fn is_curved(surface: &Surface, pair: Pair<'_>) -> bool {
+    lies_off_its_plane(surface, pair, CURVED_FROM_PX)
+}
+
+/// Whether the surface has a relief, be it a small one.
+pub(super) fn has_relief(surface: &Surface, pair: Pair<'_>) -> bool {
+    lies_off_its_plane(surface, pair, RELIEF_FROM_PX)
+}
+
+fn lies_off_its_plane(surface: &Surface, pair: Pair<'_>, from_px: f64) -> bool {
     let nodes = nodes_of(surface, pair);
-    plane_through(nodes.iter()).is_some_and(|plane| lies_off_plane(nodes.iter(), &plane, &surface.relief))
+    plane_through(nodes.iter()).is_some_and(|plane| lies_off_plane(nodes.iter(), &plane, &surface.relief, from_px))
 }
 
 fn nodes_of(surface: &Surface, Pair { view, seen, residuals }: Pair<'_>) -> Vec<Node> {
@@ -176,14 +188,19 @@ fn plane_through<'a>(nodes: impl Iterator<Item = &'a Node>) -> Option<Vector3<f6
     matrix.cholesky().map(|factor| factor.solve(&rhs))
 }
 
-/// Whether nodes lie farther from a plane than [`CURVED_FROM_PX`].
-fn lies_off_plane<'a>(nodes: impl Iterator<Item = &'a Node>, plane: &Vector3<f64>, relief: &Relief) -> bool {
+/// Whether nodes lie farther from a plane than this distance in the root mean square, pixels of disparity.
+fn lies_off_plane<'a>(
+    nodes: impl Iterator<Item = &'a Node>,
+    plane: &Vector3<f64>,
+    relief: &Relief,
+    from_px: f64,
+) -> bool {
     let (mut squares, mut weights) = (0.0, 0.0);
     for node in nodes {
         squares += node.fitting * ((1.0 - plane.dot(&node.position)) / node.position.z).powi(2);
         weights += node.fitting;
     }
-    squares > weights * (CURVED_FROM_PX * relief.inverse_depth_per_px()).powi(2)
+    squares > weights * (from_px * relief.inverse_depth_per_px()).powi(2)
 }
 
 impl Part {

@@ -4,7 +4,7 @@ mod exposures;
 mod lost;
 mod periodic;
 
-use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector2, Vector3};
+use nalgebra::{Isometry3, Matrix3, Matrix6, Matrix6x3, Point3, Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::wide::LANES;
 use pb3dp_estimation_direct::image_plane::PixelWindow;
@@ -19,7 +19,7 @@ use super::images::{CameraImages, LEVELS};
 use super::judge::{Fit, Limits, Misfit};
 use super::kernels::{CHANNELS, ROW, TERMS};
 use super::normal::{Free, NormalEquations};
-use super::one_surface::{Pair, Part, is_curved, largest_part};
+use super::one_surface::{Pair, Part, has_relief, is_curved, largest_part};
 use super::predict::{Expected, Motion};
 use super::reach::{Sighting, near_m};
 use super::search::{Searcher, mirrored};
@@ -68,6 +68,9 @@ const PATCH_SIGMA_MIN: f64 = 0.5;
 const PATCH_SIGMA_MAX: f64 = 30.0;
 const PATCH_SIGMA_RATE: f64 = 0.2;
 
+/// Largest difference of the distances of two planes of one surface. Chosen by hand, not varied: 25 mm at half a metre.
+const SAME_SURFACE_SHARE: f64 = 0.05;
+
 /// Input of a frame.
 pub(super) struct Frame<'a> {
     pub(super) images: &'a [CameraImages; 2],
@@ -106,6 +109,20 @@ pub(super) struct Target {
     periodic: Option<Box<Periodic>>,
     /// Time between the exposures of the first pair, as long as the motion in it is not known, seconds.
     pub(super) first_skew_s: Option<f64>,
+}
+
+/// Derivatives `[rho; phi]` of a frame on an inverse-depth plane, with its origin on a fixed ray, by the plane. A turn about its normal is none.
+fn frame_by_plane(plane: &Vector3<f64>, cam_left_from_model: &Pose<CamLeft, Model>) -> Matrix6x3<f64> {
+    let origin = cam_left_from_model.translation_m();
+    let turn = cam_left_from_model.rotation().to_rotation_matrix().transpose();
+    // The origin moves along its ray by -dq . origin of its distance, and z of the frame by dq / |q| across itself.
+    let shift = -(turn * origin) * origin.transpose();
+    let across = turn.matrix() / plane.norm();
+    let mut by_plane = Matrix6x3::zeros();
+    by_plane.fixed_view_mut::<3, 3>(0, 0).copy_from(&shift);
+    by_plane.row_mut(3).copy_from(&-across.row(1));
+    by_plane.row_mut(4).copy_from(&across.row(0));
+    by_plane
 }
 
 /// Result of a frame.
@@ -202,6 +219,11 @@ impl Target {
         is_curved(&self.surface, self.first_pair())
     }
 
+    /// Whether it has a relief, be it a small one.
+    pub(super) fn has_relief(&self) -> bool {
+        has_relief(&self.surface, self.first_pair())
+    }
+
     /// Moves the frame `model` onto the plane of the refined surface, in the first pair. For a plane that was only a start value:
     /// the refined one is more accurate, and the covariance is that of the refined one.
     pub(super) fn settle_on_plane(&mut self, frame: &Frame<'_>) {
@@ -213,6 +235,24 @@ impl Target {
         if let Some(equations) = self.examine(frame, false) {
             self.judge();
             self.conclude(&equations, false);
+        }
+    }
+
+    /// Moves the frame `model` of a curved target onto the plane of its visible surface, in the first pair. The covariance contains that of this
+    /// plane then. A surface elsewhere is another one than that of the target.
+    pub(super) fn settle_on_surface(&mut self, frame: &Frame<'_>, (plane, of_plane): &(Vector3<f64>, Matrix3<f64>)) {
+        let apart = 1.0 - plane.dot(&self.estimate.cam_left_from_model.translation_m());
+        if apart.abs() > SAME_SURFACE_SHARE || self.place_frame(plane).is_none() {
+            return;
+        }
+        self.estimate.cam_left_from_model = self.motion.cam_left_from_model;
+        if let Some(equations) = self.examine(frame, false) {
+            self.judge();
+            self.conclude(&equations, false);
+        }
+        let by_plane = frame_by_plane(plane, &self.estimate.cam_left_from_model);
+        if let Some(covariance) = &mut self.covariance {
+            *covariance += by_plane * of_plane * by_plane.transpose();
         }
     }
 

@@ -141,14 +141,14 @@ impl DirectTracker {
         };
         let sure = found.pose.filter(|_| found.status.depth_is_sure());
         let Some(plane) = sure.or_else(|| self.unsure_plane(&found)) else { return Ok(refused) };
-        let mut estimate = self.start_from_plane(left, right, region, &plane)?;
+        let mut estimate = self.begin((left, right), region, &plane, Some(request))?;
         estimate.warnings.splice(0..0, refused.warnings.iter().cloned());
         if sure.is_none() {
-            let is_solid = estimate.status == Status::Ok && self.target.as_ref().is_some_and(Target::is_a_surface);
+            let is_solid = estimate.status.depth_is_sure() && self.target.as_ref().is_some_and(Target::is_a_surface);
             let solid_pose = estimate.cam_left_from_model.filter(|_| is_solid);
             let outside = solid_pose.and_then(|pose| self.surface_outside(&pose, range));
             if solid_pose.is_some() && outside.is_none() {
-                return Ok(self.with_errors_of_plane(estimate, &found));
+                return Ok(estimate);
             }
             self.target = None;
             return Ok(TrackEstimate { reason: outside.unwrap_or(refused.reason), ..refused });
@@ -156,7 +156,7 @@ impl DirectTracker {
         let is_worse = estimate.status == Status::Ok && found.status != Status::Ok;
         let (status, reason) =
             if is_worse { (found.status, found.reason.clone()) } else { (estimate.status, estimate.reason) };
-        Ok(self.with_errors_of_plane(TrackEstimate { status, reason, ..estimate }, &found))
+        Ok(TrackEstimate { status, reason, ..estimate })
     }
 
     /// Reason if half of the recovered surface is nearer or farther than the depth range: from a wrong plane, a relief may
@@ -195,7 +195,17 @@ impl DirectTracker {
         region: &Region,
         plane: &PlanePose,
     ) -> Result<TrackEstimate, EstimationError> {
-        let (left, right) = (left.into(), right.into());
+        self.begin((left.into(), right.into()), region, plane, None)
+    }
+
+    /// As [`Self::start_from_plane`]. `request`: the frame of a target that is no plane is that of its visible surface.
+    fn begin(
+        &mut self,
+        (left, right): (ImageView<'_>, ImageView<'_>),
+        region: &Region,
+        plane: &PlanePose,
+        request: Option<&EstimateRequest<'_>>,
+    ) -> Result<TrackEstimate, EstimationError> {
         self.target = None;
         self.was_started = true;
         self.rig_at_rest = self.rig;
@@ -229,6 +239,11 @@ impl DirectTracker {
         if is_part && !target.is_curved() {
             // The part's plane was fitted to a relief that spans several surfaces.
             target.settle_on_plane(&self.frame());
+        }
+        if let Some(request) = request.filter(|_| target.has_relief())
+            && let Ok(Some(plane)) = self.estimator.plane_of_surface(request)
+        {
+            target.settle_on_surface(&self.frame(), &plane);
         }
         self.load_whole(left, right);
         let frame = self.frame();

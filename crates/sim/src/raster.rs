@@ -89,27 +89,44 @@ impl GroundTruth {
         shown.map(|((_, depth_m), index)| ([index % self.size.width, index / self.size.width], f64::from(*depth_m)))
     }
 
-    /// The plane of the visible target in a region: [`Self::plane`] through its pixels there; with those of the panel behind it, which the same arm
-    /// carries, if the target has less than half of the region.
+    /// The plane of the visible target in a region: [`Self::plane`] through its pixels there; through those of the panel behind it, which the same arm
+    /// carries, if the target has less than a third of the region.
     pub fn plane_in(&self, camera: &Camera, is_inside: impl Fn([u32; 2]) -> bool) -> Option<Vector3<f64>> {
-        const CARRIED: [SceneObject; 2] = [SceneObject::Target, SceneObject::Backdrop];
-        const ALL: [SceneObject; 4] = [SceneObject::Nothing, SceneObject::Room, SceneObject::Backdrop, SceneObject::Target];
+        const ALL: [SceneObject; 4] =
+            [SceneObject::Target, SceneObject::Backdrop, SceneObject::Room, SceneObject::Nothing];
         let inside = |objects: &'static [SceneObject]| self.pixels(objects).filter(|(pixel, _)| is_inside(*pixel));
-        let is_target = 2 * inside(&CARRIED[..1]).count() >= inside(&ALL).count();
-        Self::plane(camera, inside(if is_target { &CARRIED[..1] } else { &CARRIED }))
+        let is_target = 3 * inside(&ALL[..1]).count() >= inside(&ALL).count();
+        Self::plane(camera, inside(if is_target { &ALL[..1] } else { &ALL[1..2] }))
     }
 
-    /// The inverse-depth plane `q` (1/depth on a ray `d` with third component 1 is `q . d`, 1/m) of least squares through pixels with a
-    /// depth, metres. The inverse depth of a pixel is its disparity but for a factor, so this is the plane that fits a stereo pair best. `None` if
-    /// they do not span a plane.
+    /// The inverse-depth plane `q` (1/depth on a ray `d` with third component 1 is `q . d`, 1/m) of robust least squares through pixels with a
+    /// depth, metres: with Tukey's weights (1 - (r / c)^2)^2, c = 4.685 standard deviations by the median of the residuals |r|, so that it is the
+    /// plane of least squares of a curved surface, and the larger one of two faces. The inverse depth of a pixel is its disparity but for a factor, so
+    /// this is the plane that fits a stereo pair best. `None` if the pixels do not span a plane.
     pub fn plane(camera: &Camera, pixels: impl Iterator<Item = ([u32; 2], f64)>) -> Option<Vector3<f64>> {
-        let (mut information, mut pull) = (Matrix3::zeros(), Vector3::zeros());
-        for (pixel, depth_m) in pixels {
-            let ray = camera.unproject(&pixel.map(f64::from).into()).ok()?;
-            information += ray * ray.transpose();
-            pull += ray / depth_m;
+        const ROUNDS: usize = 20;
+        let seen =
+            pixels.map(|(pixel, depth_m)| Some((camera.unproject(&pixel.map(f64::from).into()).ok()?, 1.0 / depth_m)));
+        let seen: Vec<(Vector3<f64>, f64)> = seen.collect::<Option<_>>()?;
+        let fitted = |weight: &dyn Fn(f64) -> f64, plane: &Vector3<f64>| {
+            let (mut information, mut pull) = (Matrix3::zeros(), Vector3::zeros());
+            for (ray, inverse_depth) in &seen {
+                let weight = weight(inverse_depth - plane.dot(ray));
+                information += ray * ray.transpose() * weight;
+                pull += ray * (inverse_depth * weight);
+            }
+            Some(information.try_inverse()? * pull)
+        };
+        let mut plane = fitted(&|_| 1.0, &Vector3::zeros())?;
+        for _ in 0..ROUNDS {
+            let mut residuals: Vec<f64> = seen.iter().map(|(ray, inverse)| (inverse - plane.dot(ray)).abs()).collect();
+            let middle = residuals.len() / 2;
+            let limit = 4.685 * 1.4826 * *residuals.select_nth_unstable_by(middle, f64::total_cmp).1;
+            // Of a plane all residuals are rounding.
+            let limit = limit.max(1e-9);
+            plane = fitted(&|residual| (1.0 - (residual / limit).powi(2)).max(0.0).powi(2), &plane)?;
         }
-        Some(information.try_inverse()? * pull)
+        Some(plane)
     }
 }
 

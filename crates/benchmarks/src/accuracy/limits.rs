@@ -1,6 +1,7 @@
 //! Required accuracy of a run, and the rows that miss it.
 
 use super::ensemble_summary::EnsembleSummary;
+use super::first_pose::FirstPoses;
 use super::sequence_summary::SequenceSummary;
 use super::summary::Summary;
 
@@ -192,11 +193,40 @@ pub const ENSEMBLE_LIMITS: &[EnsembleLimit] = &[
     EnsembleLimit { ensemble: "skew/5ms", nees: ANY, z_mm: [0.08, 0.20], rotation_deg: [0.15, 0.40] },
 ];
 
+/// Limits of the first poses of an object that is no plane: errors beyond two stated standard deviations, percent, of depth and tilt; median
+/// standard deviation over the rms error of the tilt.
+const FIRST_POSES_BEYOND_MAX: f64 = 12.0;
+const FIRST_POSES_STATED_MAX: f64 = 1.6;
+
+/// The checks of the first poses of an object. A relief of 25 mm is no limit's: its sides are hidden from the right camera.
+pub fn checks_of_first_poses(found: &FirstPoses) -> Vec<Check> {
+    let [[.., z_within], [_, _, rms, sigma, tilt_within]] = found.figures;
+    let check = |figure: &str, measured: f64, max: f64| Check {
+        name: found.name.clone(),
+        method: "direct",
+        figure: figure.to_owned(),
+        measured,
+        max,
+    };
+    if !has_limit(&found.name) {
+        return Vec::new();
+    }
+    vec![
+        check("BeyondTwoSigmasDepthPercent", 100.0 * (1.0 - z_within), FIRST_POSES_BEYOND_MAX),
+        check("BeyondTwoSigmasTiltPercent", 100.0 * (1.0 - tilt_within), FIRST_POSES_BEYOND_MAX),
+        check("StatedOverRmsTilt", sigma / rms, FIRST_POSES_STATED_MAX),
+    ]
+}
+
+/// Objects with limits of their first poses.
+const FIRST_POSES: [&str; 4] = ["first-pose/crab-5", "first-pose/crab-10", "first-pose/potato", "first-pose/box"];
+
 /// Whether a limit is for this configuration, sequence or ensemble.
 pub fn has_limit(name: &str) -> bool {
     let of_cells = LIMITS.iter().map(|limit| limit.cell);
     let of_sequences = SEQUENCE_LIMITS.iter().map(|limit| limit.sequence);
-    let mut starts = of_cells.chain(of_sequences).chain(ENSEMBLE_LIMITS.iter().map(|limit| limit.ensemble));
+    let of_ensembles = ENSEMBLE_LIMITS.iter().map(|limit| limit.ensemble);
+    let mut starts = of_cells.chain(of_sequences).chain(of_ensembles).chain(FIRST_POSES);
     starts.any(|start| name.starts_with(start))
 }
 

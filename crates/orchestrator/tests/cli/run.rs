@@ -545,5 +545,5 @@ fn the_log_says_how_far_the_cameras_have_moved() {
     let finished = pb3dp(&words(&run)).assert_success();
     let said: Vec<_> =
         finished.stderr.lines().filter(|line| line.contains("miscalibrated: rows of the images")).collect();
-    assert!(said.len() == 1 && said[0].contains("roll 0.5") && said[0].contains("WARN"), "{}", finished.stderr);
+    assert!(said.len() == 1 && said[0].contains("roll +0.5") && said[0].contains("WARN"), "{}", finished.stderr);
 }
