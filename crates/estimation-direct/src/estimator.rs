@@ -21,6 +21,7 @@ use super::raw_view::RawView;
 use super::region_pyramid::{PyramidSource, RegionPyramid};
 use super::shape::{self, ShapePixel};
 use super::spread::{Spread, include_second};
+pub use super::surface_plane::SurfacePlane;
 use super::surface_plane::surface_plane;
 use super::tilt_limits::TiltLimits;
 use super::verdict::{
@@ -258,20 +259,17 @@ impl DirectEstimator {
         Ok((pixels, spacing_px, view))
     }
 
-    /// The inverse-depth plane of least squares through the largest connected surface of a region that is no plane, in `cam_left`, and its
-    /// covariance. `None` if the pair shows too little of it.
+    /// The plane of the largest connected surface of a region that is no plane. `None` if the pair shows too little of it.
     ///
     /// # Errors
     /// As [`EstimationMethod::visible_surface`].
-    pub fn plane_of_surface(
-        &mut self,
-        request: &EstimateRequest<'_>,
-    ) -> Result<Option<(Vector3<f64>, Matrix3<f64>)>, EstimationError> {
+    pub fn plane_of_surface(&mut self, request: &EstimateRequest<'_>) -> Result<Option<SurfacePlane>, EstimationError> {
         let (pixels, spacing_px, view) = self.shape(request)?;
         let Some((plane, covariance)) = surface_plane(&pixels, spacing_px) else { return Ok(None) };
         let by = view.turn * inverse_depth_from_disparity(&view.geometry, &plane.centre_px);
         let covariance = covariance + view.covariance_of_errors(&plane);
-        Ok(Some((view.inverse_depth_plane(&plane), by * covariance * by.transpose())))
+        let inverse_depth_plane = view.inverse_depth_plane(&plane);
+        Ok(Some(SurfacePlane { inverse_depth_plane, covariance: by * covariance * by.transpose() }))
     }
 
     fn visible(&mut self, request: &EstimateRequest<'_>) -> Result<Vec<VisiblePoint>, EstimationError> {

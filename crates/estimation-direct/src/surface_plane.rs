@@ -22,6 +22,15 @@ const OF_REST: f64 = 2.0;
 const ROUNDS: usize = 10;
 const TUKEY: f64 = 4.685 * 1.4826;
 
+/// The plane of a visible surface, in `cam_left`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfacePlane {
+    /// The inverse-depth plane: 1/depth on a ray `d` (third component 1) is `q . d`, 1/m.
+    pub inverse_depth_plane: Vector3<f64>,
+    /// Its covariance, 1/m².
+    pub covariance: Matrix3<f64>,
+}
+
 /// The pixels on their grid.
 struct Grid {
     width: usize,

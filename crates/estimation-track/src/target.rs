@@ -7,6 +7,7 @@ mod periodic;
 use nalgebra::{Isometry3, Matrix3, Matrix6, Matrix6x3, Point3, Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::wide::LANES;
+use pb3dp_estimation_direct::estimator::SurfacePlane;
 use pb3dp_estimation_direct::image_plane::PixelWindow;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Camera, Pose, StereoRig};
@@ -240,7 +241,8 @@ impl Target {
 
     /// Moves the frame `model` of a curved target onto the plane of its visible surface, in the first pair. The covariance contains that of this
     /// plane then. A surface elsewhere is another one than that of the target.
-    pub(super) fn settle_on_surface(&mut self, frame: &Frame<'_>, (plane, of_plane): &(Vector3<f64>, Matrix3<f64>)) {
+    pub(super) fn settle_on_surface(&mut self, frame: &Frame<'_>, surface: &SurfacePlane) {
+        let SurfacePlane { inverse_depth_plane: plane, covariance: of_plane } = surface;
         let apart = 1.0 - plane.dot(&self.estimate.cam_left_from_model.translation_m());
         if apart.abs() > SAME_SURFACE_SHARE || self.place_frame(plane).is_none() {
             return;
