@@ -16,7 +16,7 @@ use crate::matching::{LeftOut, Matching};
 use crate::messages::{CameraInfo, CompressedImage, Header, Image, Point32, PolygonStamped, RegionOfInterest, Text};
 use crate::pixels::{Pixels, converted, pixels};
 use crate::reader::{Bag, RawMessage};
-use crate::segments::{CalibrationChange, CameraInfos};
+use crate::segments::{CalibrationChange, CameraInfos, PairTimes, Segment};
 use crate::topics::{Topic, find_pair, ours};
 
 /// Longest time between the images of a pair by default: cameras with a common trigger are within it.
@@ -26,9 +26,6 @@ const SEARCHED_MAX: usize = 20_000;
 
 /// Images that are read at most in search of one that is not damaged.
 const DAMAGED_MAX: usize = 64;
-
-/// Middle of the left exposure, and middle of the right one minus it, nanoseconds.
-pub type PairTimes = (MonotonicTime, i64);
 
 /// How the pairs of a recording are found.
 #[derive(Clone, Debug)]
@@ -198,6 +195,40 @@ impl StereoBag {
             .map_err(|source| BagError::Calibration { file, source })
     }
 
+    /// The segments of the recording: one, unless its `camera_info` changes. Empty without a pair.
+    ///
+    /// # Errors
+    /// If the recording is damaged.
+    pub fn segments(&self) -> Result<Vec<Segment>, BagError> {
+        let mut pairs = self.pairs();
+        let times = pairs.skip_all()?;
+        Ok(pairs.segments(&times))
+    }
+
+    /// The `camera_info` of both cameras at the first pair of a segment, counted from 1 on.
+    fn infos_of_segment(&self, number: usize) -> Result<[CameraInfo; 2], BagError> {
+        let segments = self.segments()?;
+        let file = || self.bag().path().to_path_buf();
+        let Some(segment) = segments.get(number.wrapping_sub(1)) else {
+            return Err(BagError::NoSegment { file: file(), asked: number, segments: segments.len() });
+        };
+        let names = self.topics().each_ref().map(Topic::camera_info);
+        let until = of_both(segment.times);
+        let mut found: [Option<(MonotonicTime, CameraInfo)>; 2] = [None, None];
+        for message in self.bag().messages_on(&names.each_ref().map(String::as_str))? {
+            let message = message?;
+            let Some(side) = names.iter().position(|name| *name == message.channel.topic) else { continue };
+            // A damaged one is none.
+            let (Ok(at), Ok(info)) = (stamp(&message), decoded(&message)) else { continue };
+            if at <= until[side] && found[side].as_ref().is_none_or(|(newest, _)| *newest <= at) {
+                found[side] = Some((at, info));
+            }
+        }
+        let missing = || BagError::NoCalibration { file: file(), why: format!("none before segment {number}") };
+        let [left, right] = found.map(|found| found.map(|(_, info)| info).ok_or_else(missing));
+        Ok([left?, right?])
+    }
+
     /// Size of the left images: that of the first one that can be read.
     fn image_size(&self) -> Result<Option<ImageSize>, BagError> {
         for message in self.bag.messages_on(&[&self.topics[0].name])?.take(DAMAGED_MAX) {
@@ -255,8 +286,18 @@ impl BagPairs {
         self.matching.left_out()
     }
 
+    /// The segments of all pairs, which have these times.
+    pub fn segments(&self, times: &[PairTimes]) -> Vec<Segment> {
+        let before = std::iter::once(None).chain(times.iter().copied().map(Some));
+        let begin = |((first, times), before): ((u64, &PairTimes), Option<PairTimes>)| {
+            let change = self.change_between(before, *times);
+            (first == 0 || change.is_some()).then_some(Segment { first, times: *times, change })
+        };
+        (0..).zip(times).zip(before).filter_map(begin).collect()
+    }
+
     /// The first change of the calibration so far that holds for a pair of these times, and for the one before it did not.
-    pub(crate) fn change_between(&self, before: Option<PairTimes>, now: PairTimes) -> Option<CalibrationChange> {
+    fn change_between(&self, before: Option<PairTimes>, now: PairTimes) -> Option<CalibrationChange> {
         let [from, to] = [before.map(of_both), Some(of_both(now))];
         let changes = (0..2).filter_map(|side| self.infos[side].change_between(from.map(|from| from[side]), to?[side]));
         changes.min_by_key(|change| change.at)
@@ -301,7 +342,9 @@ impl BagPairs {
             let topic = &message.channel.topic;
             if let Some(infos) = self.infos.iter_mut().find(|infos| infos.topic.as_ref() == Some(topic)) {
                 // A damaged one is no change.
-                let _ = infos.take(&message);
+                if let (Ok(info), Ok(at)) = (decoded(&message), stamp(&message)) {
+                    infos.take(info, at);
+                }
                 continue;
             }
             let Some(side) = self.topics.iter().position(|images| images.name == *topic) else { continue };
@@ -353,7 +396,7 @@ impl Iterator for BagPairs {
 }
 
 /// Middle of the left and of the right exposure.
-pub(crate) fn of_both((left_at, skew_nanos): PairTimes) -> [MonotonicTime; 2] {
+fn of_both((left_at, skew_nanos): PairTimes) -> [MonotonicTime; 2] {
     [left_at, MonotonicTime::from_nanos(left_at.as_nanos().saturating_add_signed(skew_nanos))]
 }
 

@@ -2,11 +2,10 @@
 
 use pb3dp_geometry::MonotonicTime;
 
-use crate::BagError;
 use crate::messages::CameraInfo;
-use crate::pairs::{BagPairs, PairTimes, StereoBag, decoded, of_both, stamp};
-use crate::reader::RawMessage;
-use crate::topics::Topic;
+
+/// Middle of the left exposure, and middle of the right one minus it, nanoseconds.
+pub type PairTimes = (MonotonicTime, i64);
 
 /// A `camera_info` with other numbers than the one before it on its topic.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -42,13 +41,11 @@ impl CameraInfos {
     }
 
     /// Notes a change.
-    pub(crate) fn take(&mut self, message: &RawMessage) -> Result<(), BagError> {
-        let info: CameraInfo = decoded(message)?;
+    pub(crate) fn take(&mut self, info: CameraInfo, at: MonotonicTime) {
         if self.newest.as_ref().is_some_and(|newest| !has_same_numbers(newest, &info)) {
-            self.changes.push(stamp(message)?);
+            self.changes.push(at);
         }
         self.newest = Some(info);
-        Ok(())
     }
 
     /// The first change that holds for an image of this time, and did not for the one before.
@@ -70,52 +67,4 @@ fn has_same_numbers(a: &CameraInfo, b: &CameraInfo) -> bool {
     let window = |info: &CameraInfo| (info.width, info.height, info.binning_x.max(1), info.binning_y.max(1));
     (window(a), &a.roi, &a.distortion_model) == (window(b), &b.roi, &b.distortion_model)
         && [(&a.d[..], &b.d[..]), (&a.k, &b.k), (&a.r, &b.r), (&a.p, &b.p)].into_iter().all(|(a, b)| same(a, b))
-}
-
-impl StereoBag {
-    /// The segments of the recording: one, unless its `camera_info` changes. Empty without a pair.
-    ///
-    /// # Errors
-    /// If the recording is damaged.
-    pub fn segments(&self) -> Result<Vec<Segment>, BagError> {
-        let mut pairs = self.pairs();
-        let times = pairs.skip_all()?;
-        Ok(pairs.segments(&times))
-    }
-
-    /// The `camera_info` of both cameras at the first pair of a segment, counted from 1 on.
-    pub(crate) fn infos_of_segment(&self, number: usize) -> Result<[CameraInfo; 2], BagError> {
-        let segments = self.segments()?;
-        let file = || self.bag().path().to_path_buf();
-        let Some(segment) = segments.get(number.wrapping_sub(1)) else {
-            return Err(BagError::NoSegment { file: file(), asked: number, segments: segments.len() });
-        };
-        let names = self.topics().each_ref().map(Topic::camera_info);
-        let until = of_both(segment.times);
-        let mut found: [Option<(MonotonicTime, CameraInfo)>; 2] = [None, None];
-        for message in self.bag().messages_on(&names.each_ref().map(String::as_str))? {
-            let message = message?;
-            let Some(side) = names.iter().position(|name| *name == message.channel.topic) else { continue };
-            // A damaged one is none.
-            let (Ok(at), Ok(info)) = (stamp(&message), decoded(&message)) else { continue };
-            if at <= until[side] && found[side].as_ref().is_none_or(|(newest, _)| *newest <= at) {
-                found[side] = Some((at, info));
-            }
-        }
-        let missing = || BagError::NoCalibration { file: file(), why: format!("none before segment {number}") };
-        let [left, right] = found.map(|found| found.map(|(_, info)| info).ok_or_else(missing));
-        Ok([left?, right?])
-    }
-}
-
-impl BagPairs {
-    /// The segments of all pairs, which have these times.
-    pub fn segments(&self, times: &[PairTimes]) -> Vec<Segment> {
-        let before = std::iter::once(None).chain(times.iter().copied().map(Some));
-        let begin = |((first, times), before): ((u64, &PairTimes), Option<PairTimes>)| {
-            let change = self.change_between(before, *times);
-            (first == 0 || change.is_some()).then_some(Segment { first, times: *times, change })
-        };
-        (0..).zip(times).zip(before).filter_map(begin).collect()
-    }
 }

@@ -14,8 +14,8 @@ use pb3dp_setup::setup::Setup;
 
 use super::log::{FrameSample, MethodLog};
 use crate::follower::Follower;
-use crate::noting::true_model_frame;
 use crate::perception::NOT_SELECTED;
+use crate::true_surface::true_model_frame;
 
 /// One compared method.
 pub struct Onlooker {

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Result, bail};
-use nalgebra::{Vector2, Vector3};
+use nalgebra::Vector2;
 use pb3dp_estimation::estimator::FramePrior;
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::TrackEstimate;
@@ -23,7 +23,7 @@ use super::recording::Recording;
 use super::selection::Choice;
 use super::strip::Strip;
 use crate::perception::View;
-use pb3dp_estimation_core::model_frame::model_frame_on_plane;
+use crate::true_surface::true_model_frame;
 
 /// Image records; includes the compared methods.
 pub struct EstimateRecorder<'a> {
@@ -174,18 +174,6 @@ pub fn outline_px(region: Region, estimate: &TrackEstimate) -> Vec<Vector2<f64>>
         }
         Region::Mask(_) | Region::Click { .. } => estimate.outline_px.clone(),
     }
-}
-
-/// True pose of the model frame: on the true plane, on the ray of the estimated origin.
-pub fn true_model_frame(
-    cam_left_from_model: &Pose<CamLeft, Model>,
-    cam_left_from_plane: &Pose<CamLeft, Model>,
-) -> Option<Pose<CamLeft, Model>> {
-    let away = cam_left_from_plane.transform_vector(&Vector3::z());
-    let origin = cam_left_from_model.translation_m();
-    let ray = origin / origin.z;
-    let true_depth_m = away.dot(&cam_left_from_plane.translation_m()) / away.dot(&ray);
-    model_frame_on_plane(ray * true_depth_m, &-away)
 }
 
 /// Estimate of one pair.

@@ -8,6 +8,7 @@
 
 use std::collections::VecDeque;
 
+use nalgebra::Vector3;
 use pb3dp_estimation_core::model_frame::model_frame_on_plane;
 use pb3dp_estimation_core::region::{RegionConfig, RegionMask};
 use pb3dp_geometry::Pose;
@@ -69,4 +70,16 @@ impl TrueSurface {
         let ray = camera.unproject(&region.centroid_px()?).ok()?;
         model_frame_on_plane(ray / plane.dot(&ray), &-plane.normalize())
     }
+}
+
+/// True pose of the model frame: on the true plane, on the ray of the estimated origin.
+pub fn true_model_frame(
+    cam_left_from_model: &Pose<CamLeft, Model>,
+    cam_left_from_plane: &Pose<CamLeft, Model>,
+) -> Option<Pose<CamLeft, Model>> {
+    let away = cam_left_from_plane.transform_vector(&Vector3::z());
+    let origin = cam_left_from_model.translation_m();
+    let ray = origin / origin.z;
+    let true_depth_m = away.dot(&cam_left_from_plane.translation_m()) / away.dot(&ray);
+    model_frame_on_plane(ray * true_depth_m, &-away)
 }

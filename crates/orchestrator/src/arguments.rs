@@ -14,7 +14,7 @@ use pb3dp_setup::region_spec::{REGION_HELP, RegionSpec};
 use pb3dp_wiring::ReplayPace;
 use pb3dp_wiring::{RecordingOptions, TimedRecordingOptions};
 
-use crate::commands::rig::numbers::millis;
+use crate::numbers::millis;
 use crate::panel_access::{PANEL_ADDRESS, PanelAccess, parse_address};
 
 /// Exit code with `--strict` for an answer other than `ok`, and for setups or recordings that differ.

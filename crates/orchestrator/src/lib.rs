@@ -6,6 +6,7 @@ pub mod arguments;
 pub mod cli;
 pub mod commands;
 pub mod logging;
+mod numbers;
 pub mod panel_access;
 pub mod panics;
 mod progress;

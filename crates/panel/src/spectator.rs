@@ -5,9 +5,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use pb3dp_cell::handover::LatestProducer;
 use pb3dp_cell::moving::Moved;
-use pb3dp_cell::noting::{PairEstimate, true_model_frame};
+use pb3dp_cell::noting::PairEstimate;
 use pb3dp_cell::perception::View;
 use pb3dp_cell::spectator::Spectator;
+use pb3dp_cell::true_surface::true_model_frame;
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_geometry::frames::{CamLeft, Model, Target};
 use pb3dp_geometry::{MonotonicTime, Pose};

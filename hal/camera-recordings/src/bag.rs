@@ -5,8 +5,8 @@ use std::fmt;
 use image::RgbImage;
 use pb3dp_bag::BagError;
 use pb3dp_bag::matching::LeftOut;
-use pb3dp_bag::pairs::{BagPairs, PairTimes, StereoBag};
-use pb3dp_bag::segments::Segment;
+use pb3dp_bag::pairs::{BagPairs, StereoBag};
+use pb3dp_bag::segments::{PairTimes, Segment};
 
 /// Reads pairs; quickest in their order.
 pub(crate) struct BagImages {

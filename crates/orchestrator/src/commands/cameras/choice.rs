@@ -18,7 +18,7 @@ use pb3dp_setup::layers::SetupArgs;
 use pb3dp_setup::region_spec::RegionSpec;
 use pb3dp_setup::setup::{interval, read_cameras};
 
-use crate::commands::rig::numbers::{millis, number, size};
+use crate::numbers::{millis, number, size};
 
 /// Origin of the settings: the setup.
 const OF_NO_SETUP: [&str; 13] = [

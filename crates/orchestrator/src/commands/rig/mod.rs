@@ -1,6 +1,5 @@
 //! `pb3dp rig`: accuracy of a stereo rig before it is built (docs/rig.md).
 
-pub(crate) mod numbers;
 mod report;
 
 use std::process::ExitCode;
@@ -11,8 +10,8 @@ use pb3dp_cell::terminal::print_line;
 use pb3dp_estimation::rig_plan::{Conditions, Lens, PixelNoise, StereoHead};
 use pb3dp_geometry::ImageSize;
 
-use self::numbers::{Span, distance, grey, micrometres, millimetres, millis, number, pixels, size, span};
 use self::report::Plan;
+use crate::numbers::{Span, distance, grey, micrometres, millimetres, millis, number, pixels, size, span};
 
 /// Arguments of `pb3dp rig`.
 #[derive(Debug, Args)]

@@ -129,7 +129,11 @@ fn new_walk(recording: &Recording, args: &TrackArgs) -> Result<Walk> {
         walk.first_target().map_or(Ok(()), |target| target.check_skew())?;
     } else if args.method.method == Method::Direct {
         let again = || Ok((opened(args, ReplayPace::Fast)?, Walk::new(rig, recording, args, range)?));
-        walk.use_skew(&skew::of(again)?)?;
+        let told = skew::of(again)?;
+        walk.use_skew(told.skew, told.warning());
+        if told.cost.is_some() {
+            walk.watch_skew()?;
+        }
     }
     Ok(walk)
 }

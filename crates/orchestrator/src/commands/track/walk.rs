@@ -26,8 +26,6 @@ use pb3dp_wiring::message_codes::in_words;
 use crate::arguments::TrackArgs;
 use crate::commands::pair::usable;
 
-use super::skew::Told;
-
 /// All targets of a sequence.
 pub struct Walk {
     rig: StereoRig,
@@ -238,16 +236,17 @@ impl Walk {
         })
     }
 
-    /// Takes what the first pairs have told of the skew: a skew for all pairs, or the doubt about it, and a warning for the first frame.
+    /// Takes a skew for all pairs, and a warning for the first frame.
+    pub fn use_skew(&mut self, skew: Option<Skew>, warning: Option<String>) {
+        (self.skew, self.skew_warning) = (skew, warning);
+    }
+
+    /// For pairs whose skew nobody knows: each target is watched for it.
     ///
     /// # Errors
     /// A rig that cannot be rectified.
-    pub fn use_skew(&mut self, told: &Told) -> Result<()> {
-        (self.skew, self.skew_warning) = (told.skew, told.warning());
-        if told.cost.is_some() {
-            self.targets.iter_mut().try_for_each(TrackedTarget::watch_skew)?;
-        }
-        Ok(())
+    pub fn watch_skew(&mut self) -> Result<()> {
+        self.targets.iter_mut().try_for_each(TrackedTarget::watch_skew)
     }
 
     /// The first target.

@@ -6,9 +6,9 @@ use pb3dp_geometry::ImageSize;
 
 /// Distances of a table.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Span {
-    pub(super) min_mm: f64,
-    pub(super) max_mm: f64,
+pub(crate) struct Span {
+    pub(crate) min_mm: f64,
+    pub(crate) max_mm: f64,
 }
 
 /// Range of distances, mm.
@@ -18,7 +18,7 @@ const DISTANCE_MM: RangeInclusive<f64> = 50.0..=10_000.0;
 const SIDE_PX: RangeInclusive<u32> = 32..=16_384;
 
 /// A number with a unit.
-pub(in crate::commands) fn number(
+pub(crate) fn number(
     unit: &'static str,
     allowed: RangeInclusive<f64>,
 ) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
@@ -31,23 +31,23 @@ pub(in crate::commands) fn number(
     }
 }
 
-pub(super) fn millimetres(
+pub(crate) fn millimetres(
     allowed: RangeInclusive<f64>,
 ) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
     number("mm", allowed)
 }
 
-pub(super) fn distance() -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
+pub(crate) fn distance() -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
     millimetres(DISTANCE_MM)
 }
 
-pub(super) fn pixels(
+pub(crate) fn pixels(
     allowed: RangeInclusive<f64>,
 ) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
     number("px", allowed)
 }
 
-pub(super) fn grey(
+pub(crate) fn grey(
     allowed: RangeInclusive<f64>,
 ) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
     number("grey levels", allowed)
@@ -59,12 +59,12 @@ pub(crate) fn millis(
     number("ms", allowed)
 }
 
-pub(super) fn micrometres() -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
+pub(crate) fn micrometres() -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
     number("um", 0.5..=50.0)
 }
 
 /// `640x480`.
-pub(in crate::commands) fn size(text: &str) -> Result<ImageSize, String> {
+pub(crate) fn size(text: &str) -> Result<ImageSize, String> {
     let side = |text: &str| text.trim().parse::<u32>().ok().filter(|side| SIDE_PX.contains(side));
     let sides = text.split_once('x').and_then(|(width, height)| Some((side(width)?, side(height)?)));
     sides.map(|(width, height)| ImageSize { width, height }).ok_or_else(|| {
@@ -77,7 +77,7 @@ pub(in crate::commands) fn size(text: &str) -> Result<ImageSize, String> {
 }
 
 /// `300,800`.
-pub(super) fn span(text: &str) -> Result<Span, String> {
+pub(crate) fn span(text: &str) -> Result<Span, String> {
     let refuse = || format!("{text:?} is not MIN,MAX with MIN < MAX, for instance 300,800");
     let (min, max) = text.split_once(',').ok_or_else(refuse)?;
     let parse = distance();
