@@ -239,10 +239,9 @@ fn measure_first_poses(
     options: &Options,
     as_json: bool,
 ) -> anyhow::Result<Vec<FirstPoses>> {
-    let starts = if options.quick { 2 } else { first_pose::STARTS };
     let found = in_parallel(objects.len(), options.threads, |index| {
         let (name, target) = objects[index];
-        first_pose::measure(name, target, options.seed, starts)
+        first_pose::measure(name, target, options.seed, first_pose::STARTS)
     })?;
     if as_json {
         found.iter().for_each(|row| println!("{}", row.to_json()));

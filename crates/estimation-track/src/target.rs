@@ -108,6 +108,8 @@ pub(super) struct Target {
     has_twin: bool,
     /// Periods of the texture; `None` if it does not repeat.
     periodic: Option<Box<Periodic>>,
+    /// Whether the frame `model` is on the plane of the visible surface, whose covariance is in that of the first pose.
+    pub(super) is_on_surface: bool,
     /// Time between the exposures of the first pair, as long as the motion in it is not known, seconds.
     pub(super) first_skew_s: Option<f64>,
 }
@@ -181,6 +183,7 @@ impl Target {
             independent_points: 0.0,
             has_twin: false,
             periodic: None,
+            is_on_surface: false,
             first_skew_s: None,
         };
         target.keep_view(frame, false);
@@ -252,6 +255,7 @@ impl Target {
             self.judge();
             self.conclude(&equations, false);
         }
+        self.is_on_surface = true;
         let by_plane = frame_by_plane(plane, &self.estimate.cam_left_from_model);
         if let Some(covariance) = &mut self.covariance {
             *covariance += by_plane * of_plane * by_plane.transpose();

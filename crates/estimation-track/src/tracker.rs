@@ -141,14 +141,15 @@ impl DirectTracker {
         };
         let sure = found.pose.filter(|_| found.status.depth_is_sure());
         let Some(plane) = sure.or_else(|| self.unsure_plane(&found)) else { return Ok(refused) };
-        let mut estimate = self.begin((left, right), region, &plane, Some(request))?;
+        let has_time = request.deadline.may_continue();
+        let mut estimate = self.begin((left, right), region, &plane, has_time.then_some(&*request))?;
         estimate.warnings.splice(0..0, refused.warnings.iter().cloned());
         if sure.is_none() {
             let is_solid = estimate.status.depth_is_sure() && self.target.as_ref().is_some_and(Target::is_a_surface);
             let solid_pose = estimate.cam_left_from_model.filter(|_| is_solid);
             let outside = solid_pose.and_then(|pose| self.surface_outside(&pose, range));
             if solid_pose.is_some() && outside.is_none() {
-                return Ok(estimate);
+                return Ok(self.with_errors_of_plane(estimate, &found));
             }
             self.target = None;
             return Ok(TrackEstimate { reason: outside.unwrap_or(refused.reason), ..refused });
@@ -156,7 +157,7 @@ impl DirectTracker {
         let is_worse = estimate.status == Status::Ok && found.status != Status::Ok;
         let (status, reason) =
             if is_worse { (found.status, found.reason.clone()) } else { (estimate.status, estimate.reason) };
-        Ok(TrackEstimate { status, reason, ..estimate })
+        Ok(self.with_errors_of_plane(TrackEstimate { status, reason, ..estimate }, &found))
     }
 
     /// Reason if half of the recovered surface is nearer or farther than the depth range: from a wrong plane, a relief may

@@ -38,7 +38,7 @@ pub const OBJECTS: [(&str, TargetConfig); 5] = [
 ];
 
 /// Share of a region that must show the target: with less, it is another question which surface is meant.
-const TARGET_SHARE_MIN: f64 = 0.6;
+const TARGET_SHARE_MIN: f64 = 0.5;
 
 /// Truth minus answer of a first pose, and its standard deviations: depth (metres) and tilts about x and y (radians), in axes of the model.
 #[derive(Clone, Copy, Debug)]

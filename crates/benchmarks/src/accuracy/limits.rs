@@ -195,7 +195,7 @@ pub const ENSEMBLE_LIMITS: &[EnsembleLimit] = &[
 
 /// Limits of the first poses of an object that is no plane: errors beyond two stated standard deviations, percent, of depth and tilt; median
 /// standard deviation over the rms error of the tilt.
-const FIRST_POSES_BEYOND_MAX: f64 = 12.0;
+const FIRST_POSES_BEYOND_MAX: f64 = 15.0;
 const FIRST_POSES_STATED_MAX: f64 = 1.6;
 
 /// The checks of the first poses of an object. A relief of 25 mm is no limit's: its sides are hidden from the right camera.

@@ -169,7 +169,7 @@ For ensembles the independent unit is the sequence: the NEES is the mean of the 
 ## First poses
 
 The tracker starts on objects that are no planes: whole outlines, their bounding boxes, and rectangles of 0.4 to 0.9 of their sides, 8 regions of each object in 5 views, with tilts of up to 25 degrees.
-Regions of which the object covers less than 60 % are left out: it is another question which surface is meant.
+Regions of which the object covers less than half are left out: it is another question which surface is meant.
 `stated / rms` is the median standard deviation over the rms error.
 ";
 

@@ -3,10 +3,11 @@
 use std::fmt::Write;
 
 use nalgebra::Matrix6;
-use pb3dp_estimation_core::estimate::{SHIFT_SIGMA_SURE, TrackEstimate};
+use pb3dp_estimation_core::estimate::{PlaneEstimate, SHIFT_SIGMA_SURE, TrackEstimate};
 use pb3dp_estimation_core::status::Status;
 
 use super::DirectTracker;
+use crate::target::Target;
 
 /// Depth and the tilts about x and y in a covariance: what a plane determines.
 const PLANE_AXES: [usize; 3] = [2, 3, 4];
@@ -26,6 +27,16 @@ const AXES: [&str; 6] = [
 ];
 
 impl DirectTracker {
+    /// The first pose on a curved surface whose frame is not that of the visible surface, with the errors of the plane that defines it: the tilt of a
+    /// curved surface is no more certain than that plane. Later poses are measured relative to the first one.
+    pub(super) fn with_errors_of_plane(&self, first: TrackEstimate, found: &PlaneEstimate) -> TrackEstimate {
+        let is_wanted = |target: &Target| !target.is_on_surface && target.is_curved();
+        let of_plane = found.plane_covariance.filter(|_| self.target.as_ref().is_some_and(is_wanted));
+        let (Some(covariance), Some(of_plane)) = (first.covariance, of_plane) else { return first };
+        let variances = PLANE_AXES.map(|axis| covariance[(axis, axis)].max(of_plane[(axis - 2, axis - 2)]));
+        self.with_variances(first, variances, "the plane of the surface has")
+    }
+
     /// The first pose of a target that may move between the two exposures, with the errors of this motion.
     pub(super) fn with_errors_of_motion(&self, first: TrackEstimate, skew_s: f64) -> TrackEstimate {
         let (Some(covariance), Some(pose)) = (first.covariance, first.cam_left_from_model) else { return first };
