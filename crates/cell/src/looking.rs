@@ -9,7 +9,7 @@ use pb3dp_estimation::estimator::FramePrior;
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
-use pb3dp_geometry::frames::{Base, CamLeft, Model, Target};
+use pb3dp_geometry::frames::{Base, CamLeft};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::{Clock, FollowedTarget};
 use pb3dp_kinematics::JointState;
@@ -121,9 +121,8 @@ pub struct Estimating<'a> {
     previous: Option<(MonotonicTime, Option<Pose<Base, CamLeft>>)>,
     /// Whether the previous estimate was `miscalibrated`, which the log has said then.
     was_miscalibrated: bool,
-    /// The true surface, in simulation, and its plane in the region of the present target.
+    /// The true surface, in simulation.
     surface: Option<TrueSurface>,
-    target_from_plane: Option<Pose<Target, Model>>,
 }
 
 impl<'a> Estimating<'a> {
@@ -144,7 +143,6 @@ impl<'a> Estimating<'a> {
             previous: None,
             was_miscalibrated: false,
             surface: None,
-            target_from_plane: None,
         }
     }
 
@@ -199,7 +197,8 @@ impl<'a> Estimating<'a> {
             controls.note_target(self.followed(&estimate));
         }
         let latency_millis = started.elapsed().as_secs_f64() * 1e3;
-        self.note_truth(chosen.as_ref(), region.as_ref(), &captured);
+        let surface = self.surface.as_mut();
+        let target_from_plane = surface.and_then(|surface| surface.see(chosen.as_ref(), region.as_ref(), &captured));
         if region.is_some() {
             for warning in &estimate.warnings {
                 tracing::warn!("{warning}");
@@ -222,7 +221,7 @@ impl<'a> Estimating<'a> {
             Pace::Live => self.clock.now().saturating_since(captured.frame.at),
         };
         let age_millis = age.as_secs_f64() * 1e3;
-        let (steps, target, target_from_plane) = (self.steps, self.target, self.target_from_plane);
+        let (steps, target) = (self.steps, self.target);
         Ok(PairEstimate {
             captured,
             steps,
@@ -235,18 +234,6 @@ impl<'a> Estimating<'a> {
             latency_millis,
             age_millis,
         })
-    }
-
-    /// The true plane of a new target.
-    fn note_truth(&mut self, chosen: Option<&Choice>, region: Option<&Region>, captured: &Captured) {
-        let Some(surface) = &mut self.surface else { return };
-        surface.note(captured);
-        let Some(region) = region else { return };
-        let selection = match chosen {
-            Some(Choice::Marked(selection)) => selection.clone(),
-            _ => Selection { region: region.clone(), drawn_on: None },
-        };
-        self.target_from_plane = surface.plane(&selection, captured);
     }
 
     /// The target, for the exposure of the cameras.

@@ -8,17 +8,19 @@
 
 use std::collections::VecDeque;
 
+use anyhow::Result;
 use nalgebra::Vector3;
 use pb3dp_estimation_core::model_frame::model_frame_on_plane;
-use pb3dp_estimation_core::region::{RegionConfig, RegionMask};
+use pb3dp_estimation_core::region::{Region, RegionConfig, RegionMask};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Model, Target, World};
+use pb3dp_setup::setup::Setup;
 use pb3dp_sim::raster::StereoRenderer;
-use pb3dp_sim::scene::ScenePoses;
+use pb3dp_sim::scene::{Scene, ScenePoses};
 
 use crate::capturing::Captured;
 use crate::perception::View;
-use crate::selection::Selection;
+use crate::selection::{Choice, Selection};
 
 /// Pairs whose true poses are kept: an operator draws on an image for some seconds.
 const KEPT: usize = 300;
@@ -29,26 +31,49 @@ pub struct TrueSurface {
     renderer: StereoRenderer,
     /// Sequence numbers of the newest pairs, and the true poses then.
     poses: VecDeque<(u64, Pose<CamLeft, Target>)>,
+    /// The plane of the present target.
+    target_from_plane: Option<Pose<Target, Model>>,
 }
 
 impl TrueSurface {
     /// That of a scene.
     pub fn new(renderer: StereoRenderer) -> Self {
-        Self { renderer, poses: VecDeque::with_capacity(KEPT) }
+        Self { renderer, poses: VecDeque::with_capacity(KEPT), target_from_plane: None }
     }
 
-    /// Keeps the true pose of a pair.
-    pub fn note(&mut self, captured: &Captured) {
-        let Some(pose) = captured.cam_left_from_target else { return };
+    /// That of the world of a setup; `None` if there is none, or it has no images.
+    ///
+    /// # Errors
+    /// A scene that cannot be built.
+    pub fn of(setup: &Setup) -> Result<Option<Self>> {
+        let Some(world) = setup.world.as_ref().filter(|_| setup.leader.needs_images()) else { return Ok(None) };
+        let scene = Scene::build(&world.scene)?;
+        Ok(Some(Self::new(StereoRenderer::new(scene, *setup.true_rig(), &world.sensor, world.sensor_seed)?)))
+    }
+
+    /// The plane of the present target, as a frame with z along its normal, away from the cameras, after a pair. `region`: the region of a new
+    /// target. `None` if that shows nothing that moves with the target.
+    pub fn see(
+        &mut self,
+        chosen: Option<&Choice>,
+        region: Option<&Region>,
+        captured: &Captured,
+    ) -> Option<Pose<Target, Model>> {
         if self.poses.len() == KEPT {
             self.poses.pop_front();
         }
-        self.poses.push_back((captured.frame.sequence, pose));
+        self.poses.extend(captured.cam_left_from_target.map(|pose| (captured.frame.sequence, pose)));
+        if let Some(region) = region {
+            let selection = match chosen {
+                Some(Choice::Marked(selection)) => selection.clone(),
+                _ => Selection { region: region.clone(), drawn_on: None },
+            };
+            self.target_from_plane = self.plane(&selection, captured);
+        }
+        self.target_from_plane
     }
 
-    /// The plane of a region in a pair, as a frame with z along its normal, away from the cameras. `None` if the region shows nothing that moves
-    /// with the target.
-    pub fn plane(&mut self, selection: &Selection, captured: &Captured) -> Option<Pose<Target, Model>> {
+    fn plane(&mut self, selection: &Selection, captured: &Captured) -> Option<Pose<Target, Model>> {
         let View::Images(newest) = &captured.view else { return None };
         let pair = selection.drawn_on.as_ref().unwrap_or(newest);
         let (_, cam_left_from_target) = *self.poses.iter().rev().find(|(sequence, _)| *sequence == pair.sequence)?;

@@ -33,6 +33,7 @@ use pb3dp_cell::percept::Percept;
 use pb3dp_cell::perception::{Perception, View};
 use pb3dp_cell::selection::{Choice, Selection, Selections};
 use pb3dp_cell::spectator::{RunEnd, RunRecorder};
+use pb3dp_cell::true_surface::TrueSurface;
 use pb3dp_estimation::estimator::{FramePrior, Tracker};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_clock::VirtualClock;
@@ -162,6 +163,7 @@ impl Opened {
         }
         let begin = MonotonicTime::from_nanos(run.begin.begin_nanos);
         let reporting = if reports { Some(Reporting::new(setup, &*experiment, &run.begin)?) } else { None };
+        let surface = if reports { TrueSurface::of(setup)? } else { None };
         let moving = Moving::new(setup, (heard.vs, heard.tc), &*experiment, begin)?.with_operator(heard.operator);
         let estimating = if anew { Some(estimating(setup, run)?) } else { None };
         let RecordedRun { version, items, .. } = run;
@@ -177,6 +179,7 @@ impl Opened {
             estimating,
             recording,
             reporting,
+            surface,
             past: Past::default(),
             end: None,
             steps: VecDeque::new(),
@@ -274,6 +277,8 @@ struct Replay<'a> {
     estimating: Option<(Estimating<'a>, Selections)>,
     recording: Option<Box<dyn RunRecorder>>,
     reporting: Option<Reporting<'a>>,
+    /// The true surface of a simulated target, for a report.
+    surface: Option<TrueSurface>,
     /// The control, if it cannot be replayed.
     past: Past,
     end: Option<RunEnd>,
@@ -355,10 +360,13 @@ impl Replay<'_> {
             self.note(result.exposed_at_nanos, &format!("{what} initialisation"));
             self.progress.is_blind = true;
         }
-        let seen = match &self.estimating {
+        let mut seen = match &self.estimating {
             Some(_) if !self.progress.is_blind => self.estimated(recorded)?,
             _ => as_recorded(recorded)?,
         };
+        if let Some(surface) = &mut self.surface {
+            seen.target_from_plane = surface.see(seen.chosen.as_ref(), seen.region.as_ref(), &seen.captured);
+        }
         self.percepts.insert(result.sequence, seen.percept());
         if let Some(recording) = &mut self.recording {
             recording.seen(&seen);
