@@ -182,6 +182,7 @@ def test_the_share_of_the_calibration_in_an_estimate(tmp_path):
     [line] = lines("estimate", "--left", files[0], "--right", files[1], "--calib", file, "--region", region, "--json")
     assert without_time(estimate.to_json(line["case"])) == line
     assert covariance_mm(estimate.calibration_covariance).ravel().tolist() == line["calibration_covariance"]
+    assert np.array_equal(estimate.pose_covariance, estimate.covariance + estimate.calibration_covariance)
     # A calibration file without a covariance gives no share.
     assert plain.calibration_covariance is None
     assert pb3dp.Estimator(plain).estimate(left, right, pb3dp.Region.parse(region)).calibration_covariance is None
@@ -204,6 +205,8 @@ def test_the_shares_of_the_calibration_in_a_tracked_recording(recorded, tmp_path
         assert without_time(estimate.to_json(pair.index, pair.t_s)) == line
         assert covariance_mm(estimate.calibration_covariance).ravel().tolist() == line["calibration_covariance"]
         assert covariance_mm(estimate.calibration_covariance_of_motion).ravel().tolist() == line["calibration_covariance_of_motion"]
+        assert covariance_mm(estimate.first_pose_covariance).ravel().tolist() == line["first_pose_covariance"]
+        assert covariance_mm(estimate.pose_covariance).ravel().tolist() == line["pose_covariance"]
     moved = np.abs(estimate.calibration_covariance_of_motion).max()
     assert moved > 0.0
     # Marking the target again begins with another first pose.

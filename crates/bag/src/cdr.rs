@@ -242,6 +242,28 @@ impl<T: CdrValue> CdrValue for Vec<T> {
     }
 }
 
+/// Numbers at the end of a message that older versions did not write: empty then.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Later(pub Vec<f64>);
+
+impl CdrValue for Later {
+    fn ros_type() -> String {
+        Vec::<f64>::ros_type()
+    }
+
+    fn define(definitions: &mut Vec<(&'static str, String)>) {
+        Vec::<f64>::define(definitions);
+    }
+
+    fn write(&self, writer: &mut CdrWriter) {
+        self.0.write(writer);
+    }
+
+    fn read(reader: &mut CdrReader<'_>) -> Result<Self, CdrError> {
+        if reader.at >= reader.body.len() { Ok(Self::default()) } else { Vec::read(reader).map(Self) }
+    }
+}
+
 impl<T: CdrValue + Copy + Default, const N: usize> CdrValue for [T; N] {
     fn ros_type() -> String {
         format!("{}[{N}]", T::ros_type())
@@ -318,5 +340,34 @@ mod tests {
         assert_eq!(from_bytes::<String>(&[0, 1, 0, 0, 2, 0, 0, 0, b'a', b'b']), Err(CdrError::Text { at: 8 }));
         assert_eq!(from_bytes::<bool>(&[0, 1, 0, 0, 2]), Err(CdrError::Bool { at: 4, value: 2 }));
         assert_eq!(from_bytes::<String>(&[0, 1, 0, 0, 0, 0, 0, 0]).unwrap(), "");
+    }
+
+    #[test]
+    fn numbers_that_an_older_version_did_not_write_are_empty() {
+        struct Longer(f64, Later, Later);
+        impl CdrValue for Longer {
+            fn ros_type() -> String {
+                "test_msgs/Longer".to_owned()
+            }
+
+            fn define(_: &mut Vec<(&'static str, String)>) {}
+
+            fn write(&self, writer: &mut CdrWriter) {
+                self.0.write(writer);
+                self.1.write(writer);
+                self.2.write(writer);
+            }
+
+            fn read(reader: &mut CdrReader<'_>) -> Result<Self, CdrError> {
+                Ok(Self(f64::read(reader)?, Later::read(reader)?, Later::read(reader)?))
+            }
+        }
+        let Longer(first, one, two): Longer = from_bytes(&to_bytes(&2.5_f64)).unwrap();
+        assert_eq!((first, one, two), (2.5, Later::default(), Later::default()));
+        let bytes = to_bytes(&Longer(2.5, Later(vec![1.0, -2.0]), Later(vec![])));
+        let Longer(_, one, two): Longer = from_bytes(&bytes).unwrap();
+        assert_eq!((one, two), (Later(vec![1.0, -2.0]), Later(vec![])));
+        // Numbers that were cut off are not the same as none.
+        assert!(from_bytes::<Longer>(&bytes[..bytes.len() - 8]).is_err());
     }
 }

@@ -4,7 +4,7 @@
 //! translation in metres, then x, y, z, w of its quaternion; a covariance is its columns. A sequence of at most one element stands for a
 //! value that may be absent.
 
-use crate::cdr::{Bytes, CdrError, CdrReader, CdrValue, CdrWriter};
+use crate::cdr::{Bytes, CdrError, CdrReader, CdrValue, CdrWriter, Later};
 use crate::messages::{Message, Time, message};
 
 message! {
@@ -269,5 +269,9 @@ message! {
         latency_millis: f64,
         /// Age of the estimate when it reached the control, milliseconds.
         age_millis: f64,
+        /// Covariance of the first pose against the visible surface.
+        first_pose_covariance: Later,
+        /// Covariance of the pose, that of the first one included.
+        pose_covariance: Later,
     }
 }

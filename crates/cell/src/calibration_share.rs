@@ -1,25 +1,39 @@
 //! The share of the calibration in the covariances of estimates, from the covariance in the calibration file.
 
 use nalgebra::{Matrix6, Vector2};
-use pb3dp_estimation::calibration_term::{CalibrationShare, CalibrationTerm, CalibrationTermError, FirstPair};
-use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_estimation::calibration_term::{CalibrationTerm, CalibrationTermError, FirstPair};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
-use pb3dp_record::calibration_files::StereoCalibration;
+use pb3dp_record::calibration_files::{Judgement, StereoCalibration};
+use pb3dp_setup::setup::{CAMERA_TABLE, Setup};
 
 /// The term of a calibration; `None` if its file states no covariance.
 ///
 /// # Errors
 /// A covariance that does not fit the rig.
 pub fn term_of(calibration: &StereoCalibration) -> Result<Option<CalibrationTerm>, CalibrationTermError> {
-    let covariance = calibration.judgement.as_ref().and_then(|judgement| judgement.covariance.as_ref());
-    covariance.map(|known| CalibrationTerm::new(&calibration.rig, &known.names, &known.rows)).transpose()
+    stated(&calibration.rig, calibration.judgement.as_ref())
+}
+
+fn stated(rig: &StereoRig, judgement: Option<&Judgement>) -> Result<Option<CalibrationTerm>, CalibrationTermError> {
+    let covariance = judgement.and_then(|judgement| judgement.covariance.as_ref());
+    covariance.map(|known| CalibrationTerm::new(rig, &known.names, &known.rows)).transpose()
 }
 
 /// As [`term_of`]; a covariance that does not fit the rig is logged.
 pub fn term_or_warning(calibration: &StereoCalibration) -> Option<CalibrationTerm> {
-    term_of(calibration).unwrap_or_else(|error| {
-        tracing::warn!("{}", not_reported(&calibration.source, &error));
+    or_warning(term_of(calibration), &calibration.source)
+}
+
+/// The term of the cameras of a setup, likewise.
+pub fn term_of_setup(setup: &Setup) -> Option<CalibrationTerm> {
+    let used = setup.rig.calibrations.iter().find(|used| used.table == CAMERA_TABLE)?;
+    or_warning(stated(&setup.rig.stereo, used.judgement.as_ref()), &used.source)
+}
+
+fn or_warning(term: Result<Option<CalibrationTerm>, CalibrationTermError>, source: &str) -> Option<CalibrationTerm> {
+    term.unwrap_or_else(|error| {
+        tracing::warn!("{}", not_reported(source, &error));
         None
     })
 }
@@ -37,37 +51,5 @@ pub fn of_first(
     outline_px: &[Vector2<f64>],
 ) -> Option<Matrix6<f64>> {
     let first = FirstPair::of_outline(rig, pose, outline_px)?;
-    Some(term.share(&first, pose)?.pose)
-}
-
-/// The shares in the poses of the targets of a sequence.
-pub struct TrackShares {
-    rig: StereoRig,
-    term: Option<CalibrationTerm>,
-    /// Per target: its first pair, once it has a pose.
-    first: Vec<Option<FirstPair>>,
-}
-
-impl TrackShares {
-    /// For a number of targets.
-    pub fn new(rig: StereoRig, term: Option<CalibrationTerm>, targets: usize) -> Self {
-        Self { rig, term, first: vec![None; targets] }
-    }
-
-    /// Begins again with another first pair of a target.
-    pub fn restart(&mut self, target: usize) {
-        if let Some(first) = self.first.get_mut(target) {
-            *first = None;
-        }
-    }
-
-    /// The share in an estimate of a target; `None` without a pose, or without a covariance of the calibration.
-    pub fn share(&mut self, target: usize, estimate: &TrackEstimate) -> Option<CalibrationShare> {
-        let (term, pose) = (self.term.as_ref()?, estimate.cam_left_from_model?);
-        let first = self.first.get_mut(target)?;
-        if first.is_none() {
-            *first = FirstPair::of_outline(&self.rig, &pose, &estimate.outline_px);
-        }
-        term.share(first.as_ref()?, &pose)
-    }
+    term.share_of_first(&first)
 }

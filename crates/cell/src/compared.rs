@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use nalgebra::Vector3;
-use pb3dp_estimation::estimator::{FramePrior, Method, Tracker};
+use pb3dp_estimation::estimator::{FramePrior, Method};
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::Pose;
@@ -32,8 +32,7 @@ impl Onlooker {
     /// A method parameter out of its range.
     pub fn all_of(setup: &Setup) -> Result<Vec<Self>> {
         let onlooker = |&method: &Method| {
-            let tracker = Tracker::new(method, &setup.rig.stereo, &setup.estimator)?;
-            let follower = Follower::new(tracker, setup.range);
+            let follower = Follower::of_setup(setup, method)?;
             Ok(Self { method, follower, has_target: false, log: MethodLog::new(method) })
         };
         setup.compared.iter().map(onlooker).collect()
@@ -114,6 +113,7 @@ impl MethodLog {
             latency_millis,
             age_millis: frame.age_millis,
             covariance: estimate.covariance,
+            pose_covariance: estimate.pose_covariance,
         });
     }
 
@@ -129,6 +129,7 @@ impl MethodLog {
             latency_millis,
             age_millis: None,
             covariance: None,
+            pose_covariance: None,
         });
     }
 }

@@ -1,6 +1,6 @@
 //! Tracks one target through a sequence of pairs, with the region that was marked for it.
 
-use pb3dp_estimation::estimator::{FramePrior, Tracker};
+use pb3dp_estimation::estimator::{FramePrior, Method, Tracker};
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::image_view::ImageView;
@@ -8,6 +8,9 @@ use pb3dp_estimation_core::method::EstimateRequest;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
+use pb3dp_setup::setup::Setup;
+
+use crate::calibration_share::term_of_setup;
 
 /// Number of pairs without initialisation after which the target is given up: its region may show something else by then.
 const TRIES_MAX: u32 = 15;
@@ -27,6 +30,15 @@ impl Follower {
     /// A follower with the search range `range`.
     pub fn new(tracker: Tracker, range: SearchRange) -> Self {
         Self { tracker, range, marked: None }
+    }
+
+    /// A follower with the cameras and the parameters of a setup.
+    ///
+    /// # Errors
+    /// A parameter out of its range.
+    pub fn of_setup(setup: &Setup, method: Method) -> Result<Self, EstimationError> {
+        let tracker = Tracker::new(method, &setup.rig.stereo, &setup.estimator)?;
+        Ok(Self::new(tracker.with_calibration(term_of_setup(setup)), setup.range))
     }
 
     /// Whether a region was marked and accepted.

@@ -256,6 +256,7 @@ mod tests {
                 latency_millis: 0.0,
                 age_millis: None,
                 covariance: None,
+                pose_covariance: None,
             });
         }
         let mean = mean_place(&log, 5.0).unwrap();

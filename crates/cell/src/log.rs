@@ -65,8 +65,10 @@ pub struct FrameSample {
     pub latency_millis: f64,
     /// From mid-exposure until the estimate is available to the controller, milliseconds; `None` for compared methods.
     pub age_millis: Option<f64>,
-    /// Covariance of the pose, metres and radians.
+    /// Covariance of the pose since the first one, metres and radians.
     pub covariance: Option<Matrix6<f64>>,
+    /// Covariance of the pose, that of the first one included.
+    pub pose_covariance: Option<Matrix6<f64>>,
 }
 
 /// Initial lock: pose of the model frame on the target by the first estimates. All later poses are relative to it.
@@ -78,7 +80,7 @@ pub struct Lock {
     pub target_from_model: Pose<Target, Model>,
     /// Estimated model frame: mean until the target first moves, to reduce the noise of a single estimate.
     pub target_from_model_found: Pose<Target, Model>,
-    /// Error stated by the first estimate: covariance of xi = [rho; phi] (m, rad; axes of `model`).
+    /// Error stated by the first estimate against the visible surface: covariance of xi = [rho; phi] (m, rad; axes of `model`).
     pub covariance: Option<Matrix6<f64>>,
 }
 

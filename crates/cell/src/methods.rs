@@ -164,6 +164,7 @@ mod tests {
                     latency_millis: i as f64,
                     age_millis: None,
                     covariance: None,
+                    pose_covariance: None,
                 })
                 .collect(),
             estimated: (0..50).map(|i| has_pose(i).then(|| pose(i as f64, 0.5))).collect(),

@@ -107,7 +107,7 @@ impl<'a> EstimateRecorder<'a> {
                 at_s: t_s,
                 target_from_model: cam_left_from_target.inverse() * cam_left_from_model,
                 target_from_model_found: cam_left_from_target.inverse() * *found,
-                covariance: estimate.covariance,
+                covariance: estimate.pose_covariance,
             });
         }
         let age_millis = Some(*age_millis);

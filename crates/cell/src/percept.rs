@@ -27,7 +27,7 @@ impl Percept {
     ) -> Self {
         let confidence = confidence(estimate.status, observation.is_some());
         let observation = observation.filter(|_| confidence != Confidence::Miscalibrated);
-        let covariance = estimate.covariance.map(|covariance| without_spin(covariance, estimate));
+        let covariance = estimate.pose_covariance.map(|covariance| without_spin(covariance, estimate));
         let estimate = EstimateInput { at: frame.at, confidence, covariance, target };
         Self { frame, estimate, observation }
     }

@@ -4,8 +4,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use nalgebra::Matrix6;
 use nalgebra::Point3;
-use pb3dp_estimation::estimator::{FramePrior, Tracker};
+use pb3dp_estimation::estimator::FramePrior;
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
@@ -105,8 +106,7 @@ impl Perception {
     pub fn new(setup: &Setup, sight: &Sight, marking: Marking) -> Result<Self> {
         match (setup.leader, sight) {
             (Leader::Images(method), Sight::Images(_)) => {
-                let tracker = Tracker::new(method, &setup.rig.stereo, &setup.estimator)?;
-                Ok(Self::Images(Box::new(Follower::new(tracker, setup.range)), marking))
+                Ok(Self::Images(Box::new(Follower::of_setup(setup, method)?), marking))
             }
             (Leader::Geometric(_), Sight::Geometric(camera)) => Ok(Self::Geometric(GeometricPerception {
                 noise: camera.noise(),
@@ -188,17 +188,15 @@ impl GeometricPerception {
         };
         let found = found.ok();
         TrackEstimate {
-            status,
-            reason,
-            warnings: Vec::new(),
             cam_left_from_model: found,
             covariance: found.map(|_| self.noise.covariance()),
-            psi: None,
-            fitness: None,
-            // There is no image to draw the outline into.
-            outline_px: Vec::new(),
+            // The model is the true target, and each pose is measured anew.
+            first_pose_covariance: found.map(|_| Matrix6::zeros()),
+            pose_covariance: found.map(|_| self.noise.covariance()),
             observed: found.map(|_| [true; 6]),
             rotation_about_normal_observed: found.is_some(),
+            // There is no image to draw an outline into.
+            ..TrackEstimate::without_pose(status, reason)
         }
     }
 }

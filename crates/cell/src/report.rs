@@ -534,6 +534,7 @@ fn estimates_csv(log: &MethodLog) -> String {
             fitness: frame.fitness,
             cam_left_from_model: pose.as_ref(),
             covariance: frame.covariance.as_ref(),
+            pose_covariance: frame.pose_covariance.as_ref(),
         };
         row.line() + "\n"
     });

@@ -266,6 +266,16 @@ impl PlaneEstimate {
     }
 }
 
+/// The shares of the calibration in a pose: covariances of `xi = (rho, phi)` in `true pose = pose * exp(xi)`, metres and radians.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CalibrationShare {
+    /// In the absolute pose, beside the covariance of the estimate.
+    pub pose: Matrix6<f64>,
+    /// In the motion since the first pair: the truth is that motion of the first answer. Zero in the first pair, and small while the target
+    /// is near its first pose, because the errors of both poses are then nearly the same.
+    pub motion: Matrix6<f64>,
+}
+
 /// Tracking result for one frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrackEstimate {
@@ -283,8 +293,16 @@ pub struct TrackEstimate {
     /// frame. A method that cannot measure the rotation about the normal keeps it constant: it moves the first axes with the
     /// known camera motion and applies the smallest rotation that aligns z with the estimated normal.
     pub cam_left_from_model: Option<Pose<CamLeft, Model>>,
-    /// Covariance of the pose; `None` if the method does not provide it.
+    /// Covariance of the pose since the first one, which defines `model`; in the first frame that of the first pose. `None` if the method does
+    /// not provide it.
     pub covariance: Option<Matrix6<f64>>,
+    /// Covariance of the first pose against the visible surface of the target, in every frame: choice of the surface, relief, noise, motion
+    /// between the exposures, and calibration. `None` as for `covariance`.
+    pub first_pose_covariance: Option<Matrix6<f64>>,
+    /// The sum: covariance of the pose against the visible surface. `None` as for `covariance`.
+    pub pose_covariance: Option<Matrix6<f64>>,
+    /// The share of the calibration, which both of the last two contain and `covariance` does not; `None` if its errors are not known.
+    pub calibration: Option<CalibrationShare>,
     /// Best hypothesis, at the centre of this frame's region. `None` if nothing was searched or the method has no hypotheses.
     pub psi: Option<PlaneHypothesis>,
     /// Agreement of model and images, at most 1: the fitness of `psi`, or, for the direct method, the smaller of the
@@ -308,6 +326,9 @@ impl TrackEstimate {
             warnings: Vec::new(),
             cam_left_from_model: None,
             covariance: None,
+            first_pose_covariance: None,
+            pose_covariance: None,
+            calibration: None,
             psi: None,
             fitness: None,
             outline_px: Vec::new(),

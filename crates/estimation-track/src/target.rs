@@ -110,6 +110,10 @@ pub(super) struct Target {
     periodic: Option<Box<Periodic>>,
     /// Whether the frame `model` is on the plane of the visible surface, whose covariance is in that of the first pose.
     pub(super) is_on_surface: bool,
+    /// Covariance of the first pose.
+    pub(super) first_pose_covariance: Option<Matrix6<f64>>,
+    /// The same without the error of a motion between the exposures of the first pair.
+    pub(super) first_pose_covariance_at_rest: Option<Matrix6<f64>>,
     /// Time between the exposures of the first pair, as long as the motion in it is not known, seconds.
     pub(super) first_skew_s: Option<f64>,
 }
@@ -184,6 +188,8 @@ impl Target {
             has_twin: false,
             periodic: None,
             is_on_surface: false,
+            first_pose_covariance: None,
+            first_pose_covariance_at_rest: None,
             first_skew_s: None,
         };
         target.keep_view(frame, false);

@@ -467,7 +467,7 @@ impl DirectTracker {
         out.warnings.clear();
         out.reason.clear();
         out.outline_px.clear();
-        (out.cam_left_from_model, out.covariance) = (None, None);
+        (out.cam_left_from_model, out.covariance, out.first_pose_covariance) = (None, None, None);
         let Some(target) = &self.target else { return };
         // Writing into a string cannot fail.
         let _ = match ending {
@@ -499,6 +499,7 @@ impl DirectTracker {
             let pose = target.estimate.cam_left_from_model;
             out.cam_left_from_model = Some(pose);
             out.covariance = target.covariance;
+            out.first_pose_covariance = target.first_pose_covariance;
             out.fitness = Some(target.fit.correlation[0].min(target.fit.correlation[1]));
             let doubt_m = target.doubtful_period_m();
             if let Some(period_m) = doubt_m {
@@ -528,12 +529,9 @@ impl EstimationMethod for DirectTracker {
     /// status. So is a target that the initialisation did not find: `not-observable` until it is marked again.
     fn answer(&mut self, request: &mut EstimateRequest<'_>) -> Result<TrackEstimate, EstimationError> {
         if request.target.is_some() {
-            let FramePrior { skew_s, skew_sigma_s, .. } = request.prior.plausible();
+            let prior = request.prior.plausible();
             let first = self.start(request)?;
-            if let Some(target) = &mut self.target {
-                target.first_skew_s = Some(skew_s).filter(|skew_s| *skew_s != 0.0);
-            }
-            return Ok(self.with_errors_of_motion(first, skew_s.hypot(skew_sigma_s)));
+            return Ok(self.with_errors_of_motion(first, &prior));
         }
         let mut estimate = blank();
         self.follow_into(request, &mut estimate)?;

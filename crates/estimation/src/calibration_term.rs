@@ -10,6 +10,7 @@
 //! depends on the calibration, see [`CalibrationShare::motion`].
 
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, Point3, SMatrix, SVector, Vector2, Vector3, Vector6};
+use pb3dp_estimation_core::estimate::CalibrationShare;
 use pb3dp_estimation_core::model_frame::model_frame_on_plane;
 use pb3dp_geometry::frames::{CamLeft, CamRight, Model};
 use pb3dp_geometry::{Camera, Distortion, Pinhole, Pose, StereoRig, se3};
@@ -49,16 +50,6 @@ pub enum CalibrationTermError {
         /// The number.
         name: String,
     },
-}
-
-/// The shares of the calibration in a pose: covariances of `xi = (rho, phi)` in `true pose = pose * exp(xi)`, metres and radians.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CalibrationShare {
-    /// In the absolute pose, beside the covariance of the estimate.
-    pub pose: Matrix6<f64>,
-    /// In the motion since the first pair: the truth is that motion of the first answer. Zero in the first pair, and small while the target
-    /// is near its first pose, because the errors of both poses are then nearly the same.
-    pub motion: Matrix6<f64>,
 }
 
 /// A rig with the covariance of its numbers.
@@ -125,6 +116,11 @@ impl CalibrationTerm {
         });
         let moved = moved.collect::<Result<_, _>>()?;
         Ok(Self { rig: *rig, covariance, moved })
+    }
+
+    /// The share of the calibration in the first pose of a target. `None` as for [`Self::share`].
+    pub fn share_of_first(&self, first: &FirstPair) -> Option<Matrix6<f64>> {
+        Some(self.share(first, &first.cam_left_from_model)?.pose)
     }
 
     /// The shares of the calibration in a later pose of a target, or in the first one. `None` if the target is not in front of both

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use nalgebra::{Vector3, Vector6};
+use nalgebra::{Matrix6, Vector3, Vector6};
 
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, TrackEstimate};
@@ -16,6 +16,7 @@ use pb3dp_estimation_published::estimator::PublishedConfig;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
 
+use crate::calibration_term::{CalibrationTerm, FirstPair};
 use crate::rig_watch::{KnownTarget, MotionSigmas, RigWatch};
 use crate::skew_watch::SkewWatch;
 
@@ -274,6 +275,9 @@ pub struct Tracker {
     watched_skew_s: f64,
     /// Whether a warning has said that the images do not show the rig, since the target was marked.
     is_told_unchecked: bool,
+    /// The errors of the calibration, if they are known, and the first pair of the target as they change it.
+    calibration: Option<Box<CalibrationTerm>>,
+    first_pair: Option<FirstPair>,
 }
 
 /// Rows show errors of the rig only if both cameras expose at once, to this time, seconds: at 100 mm/s and 0.5 m rows differ by 0.15 px.
@@ -344,7 +348,15 @@ impl Tracker {
             is_skew_stated: false,
             watched_skew_s: 0.0,
             is_told_unchecked: false,
+            calibration: None,
+            first_pair: None,
         })
+    }
+
+    /// With the errors of the calibration, whose share the estimates then state.
+    #[must_use]
+    pub fn with_calibration(self, term: Option<CalibrationTerm>) -> Self {
+        Self { calibration: term.map(Box::new), ..self }
     }
 
     /// The method.
@@ -428,7 +440,31 @@ impl Tracker {
         if let Some(objection) = self.watch.objection() {
             (estimate.status, estimate.reason) = (Status::Miscalibrated, objection);
         }
+        self.sum_up(&mut estimate, is_new);
         Ok(estimate)
+    }
+
+    /// Completes the covariances of an estimate: the share of the calibration, and the sum. The errors of the calibration in the first pose and
+    /// in the present one are nearly the same, so the sum has the share in the present pose instead of both.
+    fn sum_up(&mut self, estimate: &mut TrackEstimate, is_new: bool) {
+        if is_new {
+            self.first_pair = None;
+        }
+        estimate.pose_covariance = match (estimate.covariance, estimate.first_pose_covariance) {
+            (Some(of_motion), Some(of_first)) => Some(if is_new { of_first } else { of_first + of_motion }),
+            _ => None,
+        };
+        let (Some(term), Some(pose)) = (&self.calibration, estimate.cam_left_from_model) else { return };
+        if self.first_pair.is_none() {
+            self.first_pair = FirstPair::of_outline(self.watch.calibrated(), &pose, &estimate.outline_px);
+        }
+        let Some(first_pair) = &self.first_pair else { return };
+        estimate.calibration = term.share(first_pair, &pose);
+        let add = |to: &mut Option<Matrix6<f64>>, share: Option<Matrix6<f64>>| {
+            *to = to.zip(share).map(|(to, share)| to + share)
+        };
+        add(&mut estimate.pose_covariance, estimate.calibration.map(|share| share.pose));
+        add(&mut estimate.first_pose_covariance, term.share_of_first(first_pair));
     }
 
     /// Whether the rows of the whole image show the rig: both cameras expose at once.

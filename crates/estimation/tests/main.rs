@@ -27,6 +27,7 @@ mod photometric;
 mod photometric_no_allocation;
 #[path = "support/plane_pair.rs"]
 mod plane_pair;
+mod pose_covariance;
 mod published_estimate;
 mod published_track;
 mod published_track_safety;

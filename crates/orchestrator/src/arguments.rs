@@ -142,7 +142,8 @@ const ESTIMATE_JSON: &str = "Lines of --json (one per case):
   point_mm          3 numbers or null: where the plane meets the ray of centroid_px, in the left camera
   cam_left_from_model  16 numbers, row by row, or null: the frame of the model on the plane
   covariance        36 numbers, row by row, or null: of that frame, as in pb3dp track
-  calibration_covariance  the share of the calibration in it, if the calibration file states a covariance
+  calibration_covariance  the share of the calibration, if the calibration file states a covariance
+  pose_covariance   the sum of both, or null
   observed          six booleans or null: whether x, y, z and the turns about them are determined
                     (the region itself fixes x, y and the turn about z)
   row_offset_px     row of the right image minus row of the left one (rectified), as measured, or null
@@ -205,10 +206,12 @@ const TRACK_JSON: &str =
   status               ok, weak-tilt, partly-observed, ambiguous, miscalibrated, not-observable, lost or error
   cam_left_from_model  16 numbers, row by row, millimetres: maps the model's coordinates to the left camera's
   covariance           36 numbers, row by row, or null: of xi = (x, y, z in mm, then a rotation vector in radians), both
-                       along the axes of the model, with true pose = cam_left_from_model * exp(xi);
-                       on a target that is not flat, only that of the first frame says how well the plane was
-                       determined on which the model is placed
-  calibration_covariance, calibration_covariance_of_motion  the share of the calibration, if its file states it
+                       along the axes of the model, with true pose = cam_left_from_model * exp(xi): of the pose since the
+                       first one, and in the first frame that of the first pose
+  first_pose_covariance  the same of the first pose against the visible surface of the target
+  pose_covariance      the sum: the same of this pose against the visible surface
+  calibration_covariance, calibration_covariance_of_motion  the share of the calibration in pose_covariance, and that to be
+                       added to covariance, if the calibration file states a covariance
   observed             six booleans, whether the images determine x, y, z and the turns about them, or null
   fitness              how well the images agree, at most 1, or null
   ms                   CPU time of one thread from the images in memory to the pose, milliseconds

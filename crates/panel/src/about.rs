@@ -2,7 +2,9 @@
 
 use nalgebra::{Isometry3, Vector3};
 use pb3dp_cell::calibration_facts::CalibrationFacts;
+use pb3dp_cell::calibration_share::term_of_setup;
 use pb3dp_cell::parts::{ArmChoice, GatewayLimits};
+use pb3dp_estimation::calibration_term::CalibrationTerm;
 use pb3dp_estimation::estimator::EstimatorConfig;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, Model, World};
@@ -72,6 +74,8 @@ pub struct About {
     pub estimator: EstimatorConfig,
     /// Search range, for previews.
     pub range: SearchRange,
+    /// Errors of the calibration, for previews; `None` if they are not known.
+    pub calibration_term: Option<CalibrationTerm>,
     /// Action of each condition; `None` without arms.
     pub policies: Option<Policies>,
 }
@@ -126,6 +130,7 @@ impl About {
             }),
             estimator: setup.estimator.clone(),
             range: setup.range,
+            calibration_term: term_of_setup(setup),
             policies: Some(setup.supervisor.policies.clone()),
         }
     }
@@ -146,6 +151,7 @@ impl About {
             hand: None,
             estimator: EstimatorConfig::default(),
             range,
+            calibration_term: None,
             policies: None,
         }
     }

@@ -2,8 +2,8 @@
 
 use std::time::{Duration, Instant};
 
-use nalgebra::Vector2;
-use pb3dp_estimation::estimator::{EstimateRequest, Method, Tracker};
+use nalgebra::{Matrix6, Vector2};
+use pb3dp_estimation::estimator::{EstimateRequest, Method, SurfacePoint, Tracker};
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::region::{Region, RegionConfig};
 use pb3dp_estimation_core::status::Status;
@@ -20,6 +20,12 @@ use crate::refusal::Refusal;
 const LOOK: Duration = Duration::from_millis(50);
 /// Computing time of one preview; while somebody drags, a late one is worth nothing.
 const TIME_MAX: Duration = Duration::from_millis(400);
+
+/// Standard deviations up to which a first pose needs no advice: of a tilt, and of the depth relative to it.
+const TILT_SIGMA_CERTAIN_RAD: f64 = 0.004;
+const DEPTH_SIGMA_CERTAIN: f64 = 0.002;
+/// Root mean square of the relief that counts as flat, pixels of disparity, as for the tracker.
+const FLAT_PX: f64 = 0.2;
 
 /// Answers previews until the panel ends.
 pub fn run(hub: &Hub) {
@@ -67,14 +73,23 @@ fn preview(
     let tracker = match tracker {
         Some(tracker) => tracker,
         None => {
-            let new = Tracker::new(Method::Direct, &about.stereo, &about.estimator);
-            tracker.insert(new.map_err(|error| unusable(&error))?)
+            let new =
+                Tracker::new(Method::Direct, &about.stereo, &about.estimator).map_err(|error| unusable(&error))?;
+            tracker.insert(new.with_calibration(about.calibration_term.clone()))
         }
     };
     let mut may_continue = || started.elapsed() < TIME_MAX;
     let request = EstimateRequest::of_target(&pair.left, &pair.right, region, &about.range).until(&mut may_continue);
     match tracker.estimate(request) {
-        Ok(estimate) => fill(&mut result, about, &estimate, &outline_px),
+        Ok(estimate) => {
+            fill(&mut result, about, &estimate, &outline_px);
+            let advice = advice(about, &estimate, &tracker.surface());
+            result.why = [std::mem::take(&mut result.why), advice]
+                .into_iter()
+                .filter(|part| !part.is_empty())
+                .collect::<Vec<_>>()
+                .join("; ");
+        }
         Err(error) => result.why = in_words(&error),
     }
     result.ms = started.elapsed().as_secs_f64() * 1e3;
@@ -89,8 +104,34 @@ fn fill(result: &mut Preview, about: &About, estimate: &TrackEstimate, outline_p
     result.depth_mm = Some(cam_left_from_model.translation_m().z * 1e3);
     result.outline_right_px = outline_right(outline_px, &about.stereo, cam_left_from_model);
     [result.axes_px, _] = axes(&about.stereo, cam_left_from_model);
-    if let Some((sigma_mm, sigma_deg)) = estimate.covariance.as_ref().and_then(sigmas) {
-        (result.sigma_mm, result.sigma_deg) = (Some(sigma_mm), Some(sigma_deg));
+    (result.sigma_mm, result.sigma_deg) = sigmas(estimate.pose_covariance.as_ref()).unzip();
+}
+
+/// What would make the first pose more certain, if it is not as certain as it can be; empty otherwise.
+fn advice(about: &About, estimate: &TrackEstimate, surface: &[SurfacePoint]) -> String {
+    let Some((covariance, pose)) = estimate.pose_covariance.zip(estimate.cam_left_from_model) else {
+        return String::new();
+    };
+    let depth_m = pose.translation_m().z;
+    let shares = |of: &Matrix6<f64>| {
+        let tilt = of[(3, 3)].max(of[(4, 4)]) / TILT_SIGMA_CERTAIN_RAD.powi(2);
+        tilt.max(of[(2, 2)] / (DEPTH_SIGMA_CERTAIN * depth_m).powi(2))
+    };
+    if shares(&covariance) <= 1.0 {
+        return String::new();
+    }
+    let of_calibration = estimate.calibration.map_or(0.0, |share| shares(&share.pose));
+    let relief_m = {
+        let squares: f64 = surface.iter().map(|point| point.position_in_model_m.z.powi(2)).sum();
+        (squares / surface.len().max(1) as f64).sqrt()
+    };
+    let depth_per_px = depth_m.powi(2) / (about.stereo.left().pinhole().fx * about.stereo.baseline_m());
+    if of_calibration > 0.5 * shares(&covariance) {
+        "the calibration is the least certain part of this: calibrate again".to_owned()
+    } else if relief_m > FLAT_PX * depth_per_px {
+        "curved: mark more of it, or a flat part, and the first pose is more certain".to_owned()
+    } else {
+        "mark a larger part with more texture, and the first pose is more certain".to_owned()
     }
 }
 
@@ -129,4 +170,58 @@ fn in_words(error: &dyn std::error::Error) -> String {
         source = cause.source();
     }
     words
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{UnitQuaternion, Vector3, Vector6};
+    use pb3dp_estimation_core::estimate::CalibrationShare;
+    use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
+
+    use super::*;
+
+    fn about() -> About {
+        let pinhole = Pinhole { fx: 740.0, fy: 738.0, cx: 321.0, cy: 238.0 };
+        let camera = Camera::new(ImageSize { width: 640, height: 480 }, pinhole, Distortion::None).unwrap();
+        let rig = StereoRig::new(camera, camera, Pose::from_translation(Vector3::new(-0.1, 0.002, -0.001))).unwrap();
+        let range =
+            pb3dp_estimation_core::plane_hypothesis::SearchRange { z_min_m: 0.3, z_max_m: 1.0, tilt_max_rad: 1.0 };
+        About::of_cameras(rig, "two", "0", range)
+    }
+
+    #[test]
+    fn the_advice_names_what_the_first_pose_lacks() {
+        let about = about();
+        let with = |sigmas: [f64; 6]| {
+            let turn = UnitQuaternion::from_euler_angles(0.1, -0.2, 0.3);
+            let covariance = Matrix6::from_diagonal(&Vector6::from(sigmas).map(|sigma| sigma * sigma));
+            TrackEstimate {
+                cam_left_from_model: Some(Pose::from_parts(Vector3::new(0.02, -0.01, 0.5), turn)),
+                pose_covariance: Some(covariance),
+                ..TrackEstimate::without_pose(Status::Ok, String::new())
+            }
+        };
+        let surface = |relief_m: f64| -> Vec<SurfacePoint> {
+            let point = |k: u32| SurfacePoint {
+                position_in_model_m: nalgebra::Point3::new(
+                    0.01,
+                    0.0,
+                    if k.is_multiple_of(2) { relief_m } else { -relief_m },
+                ),
+                normal_in_model: Vector3::new(0.0, 0.0, -1.0),
+                sigma_m: 1e-4,
+                rgb: [0; 3],
+            };
+            (0..40).map(point).collect()
+        };
+        let sure = with([1e-4, 1e-4, 3e-4, 1e-3, 1e-3, 1e-3]);
+        assert_eq!(advice(&about, &sure, &surface(5e-3)), "");
+        let unsure = with([1e-4, 1e-4, 3e-4, 1e-2, 1e-3, 1e-3]);
+        assert!(advice(&about, &unsure, &surface(5e-3)).contains("curved: mark more of it"));
+        assert!(advice(&about, &unsure, &surface(1e-4)).contains("mark a larger part"));
+        let covariance = unsure.pose_covariance.unwrap() * 0.9;
+        let calibration = Some(CalibrationShare { pose: covariance, motion: covariance });
+        assert!(advice(&about, &TrackEstimate { calibration, ..unsure }, &surface(5e-3)).contains("calibrate again"));
+        assert_eq!(advice(&about, &TrackEstimate::without_pose(Status::Lost, String::new()), &[]), "");
+    }
 }

@@ -40,9 +40,8 @@ pub fn target_of(
     target.cam_left_from_model = Some(transform_of(cam_left_from_model));
     target.world_from_model =
         world_from_cam_left.map(|world_from_cam_left| transform_of(&(world_from_cam_left * *cam_left_from_model)));
-    if let Some((sigma_mm, sigma_deg)) = estimate.covariance.as_ref().and_then(sigmas) {
-        (target.sigma_mm, target.sigma_deg) = (Some(sigma_mm), Some(sigma_deg));
-    }
+    (target.sigma_mm, target.sigma_deg) = sigmas(estimate.pose_covariance.as_ref()).unzip();
+    (target.motion_sigma_mm, target.motion_sigma_deg) = sigmas(estimate.covariance.as_ref()).unzip();
     if let Some(cam_left_from_model_true) = &newest.cam_left_from_model_true {
         let error = cam_left_from_model_true.inverse() * *cam_left_from_model;
         target.error_mm = Some(millimetres(error.translation_m()));

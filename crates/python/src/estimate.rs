@@ -3,7 +3,6 @@
 use nalgebra::{Matrix6, Vector2, Vector3};
 use numpy::{PyArray1, PyArray2};
 use pb3dp_cell::result_lines::EstimateLine;
-use pb3dp_cell::result_lines::millimetres::covariance_mm;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_estimation_core::estimate::PlaneEstimate;
 use pb3dp_geometry::Pose;
@@ -122,6 +121,13 @@ impl Estimate {
         arrays::covariance(py, self.covariance.as_ref())
     }
 
+    /// The sum of `covariance` and `calibration_covariance`, 6x6, or None.
+    #[getter]
+    fn pose_covariance<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
+        let share = self.calibration_covariance.unwrap_or_else(Matrix6::zeros);
+        arrays::covariance(py, self.covariance.map(|own| own + share).as_ref())
+    }
+
     /// The share of the calibration in the covariance of the pose, 6x6 as `covariance`, in which it is not contained; None without a pose, or if
     /// the calibration file states no covariance (`StereoRig.calibration_covariance`).
     #[getter]
@@ -175,9 +181,9 @@ impl Estimate {
     #[pyo3(signature = (case=""))]
     fn to_json(&self, py: Python<'_>, case: &str) -> PyResult<String> {
         let place = (self.centroid_px, self.z_m);
-        let line = EstimateLine::of(case, self.method.name(), &self.estimate, place, self.cpu_millis);
-        let calibration_covariance = self.calibration_covariance.as_ref().map(covariance_mm);
-        let line = EstimateLine { calibration_covariance, warnings: self.warnings_in_words(), ..line };
+        let share = self.calibration_covariance.as_ref();
+        let line = EstimateLine::of(case, self.method.name(), &self.estimate, place, share, self.cpu_millis);
+        let line = EstimateLine { warnings: self.warnings_in_words(), ..line };
         serde_json::to_string(&line).or_raise(py)
     }
 

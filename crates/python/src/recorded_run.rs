@@ -31,6 +31,17 @@ impl RecordedRun {
         stacked(py, 4, self.series.estimates.iter().flat_map(|estimate| sixteen(of(estimate))).collect())
     }
 
+    fn covariances_of<'py>(
+        &self,
+        py: Python<'py>,
+        of: impl Fn(&EstimateEntry) -> Option<&Matrix6<f64>>,
+    ) -> Matrices<'py> {
+        let numbers = |known: Option<&Matrix6<f64>>| {
+            known.map_or([f64::NAN; 36], |known| std::array::from_fn(|k| known[(k / 6, k % 6)]))
+        };
+        stacked(py, 6, self.series.estimates.iter().flat_map(|estimate| numbers(of(estimate))).collect())
+    }
+
     fn of_steps<'py, A: Frame, B: Frame>(
         &self,
         py: Python<'py>,
@@ -88,10 +99,13 @@ impl RecordedRun {
     /// Their covariances: N x 6 x 6, as in `TrackEstimate.covariance`.
     #[getter]
     fn covariances<'py>(&self, py: Python<'py>) -> Matrices<'py> {
-        let of = |known: Option<&Matrix6<f64>>| {
-            known.map_or([f64::NAN; 36], |known| std::array::from_fn(|k| known[(k / 6, k % 6)]))
-        };
-        stacked(py, 6, self.series.estimates.iter().flat_map(|estimate| of(estimate.covariance.as_ref())).collect())
+        self.covariances_of(py, |estimate| estimate.covariance.as_ref())
+    }
+
+    /// The same with those of the first poses: N x 6 x 6, as in `TrackEstimate.pose_covariance`.
+    #[getter]
+    fn pose_covariances<'py>(&self, py: Python<'py>) -> Matrices<'py> {
+        self.covariances_of(py, |estimate| estimate.pose_covariance.as_ref())
     }
 
     /// True poses of the target in simulation: N x 4 x 4, metres.

@@ -3,8 +3,6 @@
 use nalgebra::Vector2;
 use numpy::{PyArray1, PyArray2};
 use pb3dp_cell::result_lines::TrackLine;
-use pb3dp_cell::result_lines::millimetres::covariance_mm;
-use pb3dp_estimation::calibration_term::CalibrationShare;
 use pb3dp_estimation_core::estimate::TrackEstimate as Inner;
 use pyo3::prelude::*;
 
@@ -19,7 +17,6 @@ use crate::wording::in_python;
 #[pyclass(frozen, module = "pb3dp")]
 pub struct TrackEstimate {
     estimate: Inner,
-    share: Option<CalibrationShare>,
     cpu_millis: f64,
     input_warnings: Vec<String>,
 }
@@ -27,12 +24,12 @@ pub struct TrackEstimate {
 impl TrackEstimate {
     /// The result of one frame.
     pub fn new(estimate: Inner, cpu_millis: f64) -> Self {
-        Self { estimate, share: None, cpu_millis, input_warnings: Vec::new() }
+        Self { estimate, cpu_millis, input_warnings: Vec::new() }
     }
 
-    /// With the share of the calibration in its covariance, and warnings about pair and calibration.
-    pub fn with(self, share: Option<CalibrationShare>, input_warnings: Vec<String>) -> Self {
-        Self { share, input_warnings, ..self }
+    /// With warnings about pair and calibration.
+    pub fn with(self, input_warnings: Vec<String>) -> Self {
+        Self { input_warnings, ..self }
     }
 
     fn warnings_in_words(&self) -> Vec<String> {
@@ -79,24 +76,38 @@ impl TrackEstimate {
         self.estimate.cam_left_from_model.map(|pose| arrays::vector(py, &arrays::quaternion_xyzw(&pose)))
     }
 
-    /// Covariance of the pose, 6x6, or None: of xi = (x, y, z in metres, then a rotation vector in radians), both along the axes of `model`,
-    /// with true pose = cam_left_from_model * exp(xi).
+    /// Covariance of the pose since the first one, 6x6, or None: of xi = (x, y, z in metres, then a rotation vector in radians), both along the
+    /// axes of `model`, with true pose = cam_left_from_model * exp(xi). In the first frame it is that of the first pose.
     #[getter]
     fn covariance<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
         arrays::covariance(py, self.estimate.covariance.as_ref())
     }
 
-    /// The share of the calibration in the covariance of the pose, 6x6 as `covariance`, in which it is not contained; None without a pose, or if
-    /// the calibration file states no covariance (`StereoRig.calibration_covariance`).
+    /// Covariance of the first pose against the visible surface of the target, 6x6 as `covariance`, or None: choice of the surface, relief, noise,
+    /// motion between the exposures, and the share of the calibration.
     #[getter]
-    fn calibration_covariance<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
-        arrays::covariance(py, self.share.as_ref().map(|share| &share.pose))
+    fn first_pose_covariance<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
+        arrays::covariance(py, self.estimate.first_pose_covariance.as_ref())
     }
 
-    /// The same for the motion since the first pose of the target: zero there, and small while the target is near it.
+    /// The sum: covariance of the pose against the visible surface, 6x6 as `covariance`, or None.
+    #[getter]
+    fn pose_covariance<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
+        arrays::covariance(py, self.estimate.pose_covariance.as_ref())
+    }
+
+    /// The share of the calibration in `pose_covariance`, 6x6; None without a pose, or if the calibration file states no covariance
+    /// (`StereoRig.calibration_covariance`).
+    #[getter]
+    fn calibration_covariance<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
+        arrays::covariance(py, self.estimate.calibration.as_ref().map(|share| &share.pose))
+    }
+
+    /// The same for the motion since the first pose of the target, not contained in `covariance`: zero there, and small while the target is near
+    /// it.
     #[getter]
     fn calibration_covariance_of_motion<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
-        arrays::covariance(py, self.share.as_ref().map(|share| &share.motion))
+        arrays::covariance(py, self.estimate.calibration.as_ref().map(|share| &share.motion))
     }
 
     /// Whether the images determine x, y, z and the turns about them (axes of `model`), or None if the method does not tell.
@@ -128,13 +139,7 @@ impl TrackEstimate {
     #[pyo3(signature = (frame=0, t_s=0.0))]
     fn to_json(&self, py: Python<'_>, frame: usize, t_s: f64) -> PyResult<String> {
         let line = TrackLine::of(frame, t_s, &self.estimate, self.cpu_millis);
-        let share = self.share.as_ref();
-        let line = TrackLine {
-            calibration_covariance: share.map(|share| covariance_mm(&share.pose)),
-            calibration_covariance_of_motion: share.map(|share| covariance_mm(&share.motion)),
-            warnings: self.warnings_in_words(),
-            ..line
-        };
+        let line = TrackLine { warnings: self.warnings_in_words(), ..line };
         serde_json::to_string(&line).or_raise(py)
     }
 

@@ -5,7 +5,6 @@ use std::sync::{Mutex, PoisonError};
 
 use anyhow::Context;
 use numpy::{PyArray1, PyArray2, PyReadonlyArray2};
-use pb3dp_cell::calibration_share::TrackShares;
 use pb3dp_cell::follower::Follower;
 use pb3dp_estimation::estimator::{FramePrior, Method, Tracker as Inner};
 use pb3dp_estimation::pair_check::check_pair;
@@ -33,7 +32,6 @@ pub struct Tracker {
 
 struct State {
     follower: Follower,
-    shares: TrackShares,
     value_range: Option<ValueRange>,
     is_checked: bool,
     /// Assumptions about the calibration, for the first estimate.
@@ -63,13 +61,12 @@ impl Tracker {
     ) -> PyResult<Self> {
         let asked = Asked { method, z_range_m, tilt_max_rad, config, seed, value_range };
         let made = Settings::of(asked, rig.rig()).and_then(|settings| {
-            let tracker = Inner::new(settings.method, rig.rig(), &settings.config)?;
+            let tracker =
+                Inner::new(settings.method, rig.rig(), &settings.config)?.with_calibration(rig.term().cloned());
             let mut follower = Follower::new(tracker, settings.range);
             follower.watch_skew(true)?;
-            let shares = TrackShares::new(*rig.rig(), rig.term().cloned(), 1);
             let state = State {
                 follower,
-                shares,
                 value_range: settings.value_range,
                 is_checked: false,
                 doubts: rig.doubts().to_vec(),
@@ -134,12 +131,8 @@ impl Tracker {
                     state.follower.look(left, right, region.as_deref(), &prior, &mut may_continue)
                 });
                 let estimate = estimate?;
-                if region.is_some() {
-                    state.shares.restart(0);
-                }
-                let share = state.shares.share(0, &estimate);
                 let warnings = warning.into_iter().chain(std::mem::take(&mut state.doubts)).collect();
-                Ok(TrackEstimate::new(estimate, millis).with(share, warnings))
+                Ok(TrackEstimate::new(estimate, millis).with(warnings))
             });
             state.value_range = range;
             found

@@ -21,14 +21,18 @@ pub struct EstimateRow<'a> {
     pub fitness: Option<f64>,
     /// The pose.
     pub cam_left_from_model: Option<&'a Pose<CamLeft, Model>>,
-    /// Covariance of `xi` = translation (m), then rotation (rad), along the axes of the model.
+    /// Covariance of `xi` = translation (m), then rotation (rad), along the axes of the model: of the pose since the first one.
     pub covariance: Option<&'a Matrix6<f64>>,
+    /// The same of the pose, that of the first one included.
+    pub pose_covariance: Option<&'a Matrix6<f64>>,
 }
 
-/// The first line: `c11` to `c66` is the covariance, row by row, in mm and rad.
+/// The first line: `c11` to `c66` is the covariance since the first pose, row by row, in mm and rad, and `p11` to `p66` that of the pose.
 pub fn heading() -> String {
     let mut text = String::from("t_s,status,age_ms,latency_ms,fitness,x_mm,y_mm,z_mm,qx,qy,qz,qw");
-    (0..36).for_each(|k| text += &format!(",c{}{}", k / 6 + 1, k % 6 + 1));
+    for letter in ['c', 'p'] {
+        (0..36).for_each(|k| text += &format!(",{letter}{}{}", k / 6 + 1, k % 6 + 1));
+    }
     text
 }
 
@@ -46,11 +50,13 @@ impl EstimateRow<'_> {
             None => text += &",".repeat(7),
         }
         let unit = |i: usize| if i < 3 { 1e3 } else { 1.0 };
-        match self.covariance {
-            Some(c) => (0..36).for_each(|k| {
-                let _ = write!(text, ",{:.6e}", c[(k / 6, k % 6)] * unit(k / 6) * unit(k % 6));
-            }),
-            None => text += &",".repeat(36),
+        for covariance in [self.covariance, self.pose_covariance] {
+            match covariance {
+                Some(c) => (0..36).for_each(|k| {
+                    let _ = write!(text, ",{:.6e}", c[(k / 6, k % 6)] * unit(k / 6) * unit(k % 6));
+                }),
+                None => text += &",".repeat(36),
+            }
         }
         text
     }
@@ -74,12 +80,14 @@ mod tests {
             fitness: None,
             cam_left_from_model: None,
             covariance: None,
+            pose_covariance: None,
         };
         let known = EstimateRow {
             status: "ok",
             latency_millis: Some(12.5),
             cam_left_from_model: Some(&pose),
             covariance: Some(&covariance),
+            pose_covariance: Some(&(covariance * 2.0)),
             ..empty
         };
         let heading = heading();
@@ -95,5 +103,6 @@ mod tests {
         // mm x rad.
         assert_eq!(cell("c15").parse::<f64>().unwrap(), 4e-3);
         assert_eq!(cell("c42").parse::<f64>().unwrap(), 31e-3);
+        assert_eq!(cell("p42").parse::<f64>().unwrap(), 62e-3);
     }
 }

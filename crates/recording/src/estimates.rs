@@ -2,6 +2,7 @@
 
 use anyhow::{Context, Result};
 use nalgebra::Vector2;
+use pb3dp_bag::cdr::Later;
 use pb3dp_bag::run_messages::{Chosen, PairResult};
 use pb3dp_cell::noting::PairEstimate;
 use pb3dp_cell::perception::View;
@@ -43,6 +44,8 @@ pub fn pair_result(seen: &PairEstimate) -> PairResult {
         outline_px: estimate.outline_px.iter().flat_map(|corner| [corner.x, corner.y]).collect(),
         latency_millis: seen.latency_millis,
         age_millis: seen.age_millis,
+        first_pose_covariance: Later(of_covariance(estimate.first_pose_covariance.as_ref())),
+        pose_covariance: Later(of_covariance(estimate.pose_covariance.as_ref())),
     }
 }
 
@@ -59,6 +62,8 @@ pub fn recorded_estimate(result: &PairResult) -> Result<TrackEstimate> {
     Ok(TrackEstimate {
         cam_left_from_model: pose_if_any("cam_left_from_model", &result.cam_left_from_model)?,
         covariance: covariance("covariance", &result.covariance)?,
+        first_pose_covariance: covariance("first_pose_covariance", &result.first_pose_covariance.0)?,
+        pose_covariance: covariance("pose_covariance", &result.pose_covariance.0)?,
         fitness: result.fitness.first().copied(),
         outline_px: result.outline_px.chunks_exact(2).map(corner).collect(),
         observed,

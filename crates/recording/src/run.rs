@@ -157,7 +157,7 @@ impl RunRecording {
         }
         self.status(seen, at);
         if let Some(found) = &seen.estimate.cam_left_from_model {
-            let covariance = seen.estimate.covariance.map_or([0.0; 36], |c| in_camera_axes(found, &c));
+            let covariance = seen.estimate.pose_covariance.map_or([0.0; 36], |c| in_camera_axes(found, &c));
             let pose = PoseWithCovariance { pose: ros_pose(found), covariance };
             let header = self.pairs.header(at, CAMERAS[0]);
             self.pairs.push(ours::POSE, at, &PoseWithCovarianceStamped { header, pose });

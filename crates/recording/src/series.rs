@@ -35,8 +35,10 @@ pub struct EstimateEntry {
     pub reason: String,
     /// The pose, if there is one.
     pub cam_left_from_model: Option<Pose<CamLeft, Model>>,
-    /// Its covariance, metres and radians.
+    /// Its covariance since the first pose, metres and radians.
     pub covariance: Option<Matrix6<f64>>,
+    /// Its covariance, that of the first pose included; `None` in recordings of versions that did not state it.
+    pub pose_covariance: Option<Matrix6<f64>>,
     /// The true pose, in simulation.
     pub cam_left_from_target: Option<Pose<CamLeft, Target>>,
 }
@@ -101,6 +103,7 @@ fn estimate(result: PairResult) -> Result<EstimateEntry> {
         at_nanos: signed(result.exposed_at_nanos),
         cam_left_from_model: pose_if_any("cam_left_from_model", &result.cam_left_from_model)?,
         covariance: covariance("covariance", &result.covariance)?,
+        pose_covariance: covariance("pose_covariance", &result.pose_covariance.0)?,
         cam_left_from_target: pose_if_any("cam_left_from_target", &result.cam_left_from_target)?,
         status: result.status,
         reason: result.reason,

@@ -1,6 +1,6 @@
 //! The line of an estimate from one pair.
 
-use nalgebra::Vector2;
+use nalgebra::{Matrix6, Vector2};
 use pb3dp_estimation_core::estimate::{PlaneEstimate, SecondPlane};
 use pb3dp_estimation_core::status::SCHEMA_VERSION;
 use pb3dp_record::plain_zero::plain_zero;
@@ -41,6 +41,8 @@ pub struct EstimateLine {
     pub cam_left_from_model: Option<[f64; 16]>,
     /// Covariance of this frame, 36 numbers, row by row, as in the lines of `pb3dp track`.
     pub covariance: Option<Vec<f64>>,
+    /// The sum of `covariance` and `calibration_covariance`.
+    pub pose_covariance: Option<Vec<f64>>,
     /// The share of the calibration in the covariance of this frame, not contained in `covariance`; only if the calibration file has a
     /// covariance.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -112,6 +114,7 @@ impl EstimateLine {
             point_mm: None,
             cam_left_from_model: None,
             covariance: None,
+            pose_covariance: None,
             calibration_covariance: None,
             observed: None,
             row_offset_px: None,
@@ -127,10 +130,12 @@ impl EstimateLine {
         method: &'static str,
         estimate: &PlaneEstimate,
         (centroid_px, z_m): (Vector2<f64>, Option<f64>),
+        calibration: Option<&Matrix6<f64>>,
         ms: f64,
     ) -> Self {
         let second = estimate.second_plane.as_ref();
         let frame = estimate.model_frame(&centroid_px);
+        let covariance = frame.and_then(|frame| frame.covariance);
         Self {
             status: estimate.status.as_str(),
             z_mm: z_m.map(|z| z * 1e3),
@@ -143,7 +148,9 @@ impl EstimateLine {
             second_plane: second.map(|plane| SecondPlaneLine::of(plane, estimate, &centroid_px)),
             point_mm: frame.map(|frame| (frame.cam_left_from_model.translation_m() * 1e3).into()),
             cam_left_from_model: frame.map(|frame| row_major_mm(&frame.cam_left_from_model)),
-            covariance: frame.and_then(|frame| frame.covariance).as_ref().map(covariance_mm),
+            covariance: covariance.as_ref().map(covariance_mm),
+            pose_covariance: covariance.map(|own| covariance_mm(&calibration.map_or(own, |share| own + share))),
+            calibration_covariance: calibration.map(covariance_mm),
             observed: estimate.observed,
             row_offset_px: estimate.row_offset_px,
             surface: None,

@@ -23,14 +23,17 @@ pub struct TrackLine {
     pub status: &'static str,
     /// Row-major homogeneous matrix, millimetres.
     pub cam_left_from_model: Option<[f64; 16]>,
-    /// Covariance of the pose, row-major, of `xi` = translation (mm), then rotation (radians), along the axes of `model`:
-    /// true pose = pose exp(xi).
+    /// Covariance of the pose since the first one, in the first frame that of the first one; row-major, of `xi` = translation (mm), then
+    /// rotation (radians), along the axes of `model`: true pose = pose exp(xi).
     pub covariance: Option<Vec<f64>>,
-    /// The share of the calibration in the covariance of the pose, not contained in `covariance`; only if the calibration file has a
-    /// covariance.
+    /// The same of the first pose against the visible surface of the target.
+    pub first_pose_covariance: Option<Vec<f64>>,
+    /// The sum: the same of this pose against the visible surface.
+    pub pose_covariance: Option<Vec<f64>>,
+    /// The share of the calibration in `pose_covariance`; only if the calibration file has a covariance.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calibration_covariance: Option<Vec<f64>>,
-    /// The same for the motion since the first pose.
+    /// The same for the motion since the first pose, not contained in `covariance`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calibration_covariance_of_motion: Option<Vec<f64>>,
     /// Whether the images determine each direction of the pose, in the order of `covariance`; null if the method does not tell.
@@ -70,6 +73,8 @@ impl TrackLine {
             status: "error",
             cam_left_from_model: None,
             covariance: None,
+            first_pose_covariance: None,
+            pose_covariance: None,
             calibration_covariance: None,
             calibration_covariance_of_motion: None,
             observed: None,
@@ -86,6 +91,10 @@ impl TrackLine {
             status: estimate.status.as_str(),
             cam_left_from_model: estimate.cam_left_from_model.as_ref().map(row_major_mm),
             covariance: estimate.covariance.as_ref().map(covariance_mm),
+            first_pose_covariance: estimate.first_pose_covariance.as_ref().map(covariance_mm),
+            pose_covariance: estimate.pose_covariance.as_ref().map(covariance_mm),
+            calibration_covariance: estimate.calibration.map(|share| covariance_mm(&share.pose)),
+            calibration_covariance_of_motion: estimate.calibration.map(|share| covariance_mm(&share.motion)),
             observed: estimate.observed,
             fitness: estimate.fitness,
             ms: Some(ms),

@@ -41,6 +41,7 @@ impl Target {
         let found = self.estimate.cam_left_from_model;
         let moved = found * self.motion.cam_left_from_model.inverse();
         let after_from_before = self.correct_first_pair(&share_of(&moved, first_skew_s / step_s), frame.rig)?;
+        self.correct_first_covariance(first_skew_s / step_s, frame.rig);
         let rig = frame.rig.with_motion_between_exposures(&share_of(&moved, prior.skew_s / step_s));
         Some((rig, found * after_from_before.inverse()))
     }
@@ -71,6 +72,22 @@ impl Target {
         self.knowledge.row_offset_px = 0.0;
         self.knowledge.row_information = ROW_INFORMATION_START;
         self.place_frame(&frame)
+    }
+
+    /// The covariance of the first pose, once the second frame has shown the motion: with the error of that motion, the difference of two
+    /// poses, of which `share` lies between the exposures.
+    fn correct_first_covariance(&mut self, share: f64, rig: &StereoRig) {
+        let Some(mut covariance) = self.first_pose_covariance_at_rest else { return };
+        let pose = self.motion.cam_left_from_model;
+        let baseline = rig.right_centre_in_cam_left();
+        let along = pose.inverse().transform_vector(&baseline.normalize());
+        let per_variance = 2.0 * (share * pose.translation_m().z / baseline.norm()).powi(2);
+        let place = covariance.fixed_view::<3, 3>(0, 0).into_owned();
+        covariance[(2, 2)] += per_variance * along.dot(&(place * along));
+        for axis in [3, 4] {
+            covariance[(axis, axis)] *= 1.0 + per_variance;
+        }
+        self.first_pose_covariance = Some(covariance);
     }
 
     /// The motion between the exposures as the pair itself shows it, which is aligned for this with the motion that was foreseen. `None` if both

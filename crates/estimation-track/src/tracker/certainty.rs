@@ -4,6 +4,7 @@ use std::fmt::Write;
 
 use nalgebra::Matrix6;
 use pb3dp_estimation_core::estimate::{PlaneEstimate, SHIFT_SIGMA_SURE, TrackEstimate};
+use pb3dp_estimation_core::method::FramePrior;
 use pb3dp_estimation_core::status::Status;
 
 use super::DirectTracker;
@@ -26,6 +27,14 @@ const AXES: [&str; 6] = [
     "the turn about the normal",
 ];
 
+/// A covariance with other variances of depth and tilts.
+fn with_diagonal(mut covariance: Matrix6<f64>, variances: [f64; 3]) -> Matrix6<f64> {
+    for (axis, variance) in PLANE_AXES.into_iter().zip(variances) {
+        covariance[(axis, axis)] = variance;
+    }
+    covariance
+}
+
 impl DirectTracker {
     /// The first pose on a curved surface whose frame is not that of the visible surface, with the errors of the plane that defines it: the tilt of a
     /// curved surface is no more certain than that plane. Later poses are measured relative to the first one.
@@ -37,21 +46,33 @@ impl DirectTracker {
         self.with_variances(first, variances, "the plane of the surface has")
     }
 
-    /// The first pose of a target that may move between the two exposures, with the errors of this motion.
-    pub(super) fn with_errors_of_motion(&self, first: TrackEstimate, skew_s: f64) -> TrackEstimate {
+    /// The first pose of a target that may move between the two exposures, with the errors of this motion. The second frame shows how it moves,
+    /// and what remains is the error of the skew itself.
+    pub(super) fn with_errors_of_motion(&mut self, first: TrackEstimate, prior: &FramePrior) -> TrackEstimate {
+        let FramePrior { skew_s, skew_sigma_s, .. } = *prior;
+        if let Some(target) = &mut self.target {
+            target.first_skew_s = Some(skew_s).filter(|skew_s| *skew_s != 0.0);
+        }
         let (Some(covariance), Some(pose)) = (first.covariance, first.cam_left_from_model) else { return first };
-        let per_rate_s = skew_s * pose.translation_m().norm() / self.rig.baseline_m();
-        let sigmas = [SPEED_SIGMA_M_PER_S, TURN_SIGMA_RAD_PER_S, TURN_SIGMA_RAD_PER_S].map(|rate| rate * per_rate_s);
-        let variances = std::array::from_fn(|k| covariance[(PLANE_AXES[k], PLANE_AXES[k])] + sigmas[k].powi(2));
-        self.with_variances(first, variances, "the target may have moved between the exposures, so the tilt has")
+        let depth_per_baseline = pose.translation_m().norm() / self.rig.baseline_m();
+        let variances_of = |skew_s: f64| {
+            let rates = [SPEED_SIGMA_M_PER_S, TURN_SIGMA_RAD_PER_S, TURN_SIGMA_RAD_PER_S];
+            let sigmas = rates.map(|rate| rate * skew_s * depth_per_baseline);
+            std::array::from_fn(|k| covariance[(PLANE_AXES[k], PLANE_AXES[k])] + sigmas[k].powi(2))
+        };
+        let variances = variances_of(skew_s.hypot(skew_sigma_s));
+        let first =
+            self.with_variances(first, variances, "the target may have moved between the exposures, so the tilt has");
+        if let Some(target) = &mut self.target {
+            target.first_pose_covariance = first.covariance;
+            target.first_pose_covariance_at_rest = Some(with_diagonal(covariance, variances_of(skew_sigma_s)));
+        }
+        TrackEstimate { first_pose_covariance: first.covariance, ..first }
     }
 
     /// A pose with other variances of depth and tilts.
     fn with_variances(&self, mut first: TrackEstimate, variances: [f64; 3], what_has: &str) -> TrackEstimate {
-        let Some(covariance) = &mut first.covariance else { return first };
-        for (axis, variance) in PLANE_AXES.into_iter().zip(variances) {
-            covariance[(axis, axis)] = variance;
-        }
+        first.covariance = first.covariance.map(|covariance| with_diagonal(covariance, variances));
         let (tilt_deg, limit) = (variances[1].max(variances[2]).sqrt().to_degrees(), self.config.tilt_sigma_sure_deg);
         if first.status == Status::Ok && tilt_deg > limit {
             first.status = Status::WeakTilt;

@@ -8,9 +8,11 @@ use anyhow::{Context, Result};
 use clap::{ArgGroup, Args};
 use nalgebra::Vector3;
 use pb3dp_cell::calibration_facts::CalibrationFacts;
+use pb3dp_cell::calibration_share::term_or_warning;
 use pb3dp_cell::camera_controls::ControlDesk;
 use pb3dp_cell::follower::Follower;
 use pb3dp_cell::images_only::ImagesOnly;
+use pb3dp_estimation::calibration_term::CalibrationTerm;
 use pb3dp_estimation::estimator::{EstimatorConfig, Method, Tracker};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
@@ -66,6 +68,8 @@ struct Source {
     /// The calibration; `None` without one.
     rig: Option<StereoRig>,
     calibration: Option<CalibrationFacts>,
+    /// Its errors, if they are known.
+    calibration_term: Option<CalibrationTerm>,
     /// Controls of real cameras.
     controls: Option<ControlDesk>,
     range: SearchRange,
@@ -101,7 +105,7 @@ fn serve(
     opened: &mut dyn FnMut(&Panel) -> Result<()>,
     is_over: &mut dyn FnMut() -> bool,
 ) -> Result<()> {
-    let Source { mut camera, name, rig, calibration, controls, range, states_skew } = source;
+    let Source { mut camera, name, rig, calibration, calibration_term, controls, range, states_skew } = source;
     let stereo = match rig {
         Some(rig) => rig,
         None => stand_in(camera.info().size)?,
@@ -114,9 +118,11 @@ fn serve(
             (None, None) => "none: images and controls only".to_owned(),
         },
         calibrations: calibration.into_iter().collect(),
+        calibration_term: calibration_term.clone(),
         ..About::of_cameras(stereo, &name, env!("CARGO_PKG_VERSION"), range)
     };
     let tracker = Tracker::new(Method::Direct, &stereo, &EstimatorConfig::default())?;
+    let tracker = tracker.with_calibration(calibration_term);
     let config = PanelConfig { cameras: controls, ..config };
     let (panel, _, spectator) = Panel::start(config, Arc::clone(&clock), about)?;
     opened(&panel)?;
@@ -150,6 +156,7 @@ fn recorded(
         name: path.display().to_string(),
         rig: Some(calibration.rig),
         calibration: Some(CalibrationFacts::of("camera", &calibration.source, calibration.judgement.as_ref())),
+        calibration_term: term_or_warning(&calibration),
         controls: None,
         range: search.map_or_else(default_range, of_recording),
         states_skew,
@@ -167,9 +174,9 @@ fn cameras((choice, asked): (&CameraChoice, &RecordingOptions), clock: &Arc<dyn 
 }
 
 fn of_cameras(chosen: Chosen, camera: Box<dyn StereoCamera>, desk: ControlDesk) -> Source {
-    let Chosen { rig, calibration, target, .. } = chosen;
+    let Chosen { rig, calibration, calibration_term, target, .. } = chosen;
     let (name, range) = (camera.info().name.clone(), target.range.unwrap_or_else(default_range));
-    Source { camera, name, rig, calibration, controls: Some(desk), range, states_skew: true }
+    Source { camera, name, rig, calibration, calibration_term, controls: Some(desk), range, states_skew: true }
 }
 
 fn default_range() -> SearchRange {

@@ -17,7 +17,7 @@ use pb3dp_sim::targets::TargetConfig;
 use serde_json::Value;
 
 /// Keys of a line of `estimate --json`, in order.
-pub const ESTIMATE_KEYS: [&str; 18] = [
+pub const ESTIMATE_KEYS: [&str; 19] = [
     "case",
     "method",
     "status",
@@ -32,14 +32,27 @@ pub const ESTIMATE_KEYS: [&str; 18] = [
     "point_mm",
     "cam_left_from_model",
     "covariance",
+    "pose_covariance",
     "observed",
     "row_offset_px",
     "reason",
     "warnings",
 ];
 /// Keys of a line of `track --json`, in order.
-pub const TRACK_KEYS: [&str; 10] =
-    ["frame", "t_s", "status", "cam_left_from_model", "covariance", "observed", "fitness", "ms", "reason", "warnings"];
+pub const TRACK_KEYS: [&str; 12] = [
+    "frame",
+    "t_s",
+    "status",
+    "cam_left_from_model",
+    "covariance",
+    "first_pose_covariance",
+    "pose_covariance",
+    "observed",
+    "fitness",
+    "ms",
+    "reason",
+    "warnings",
+];
 /// What `estimate` may say of a case.
 pub const STATUSES: [&str; 5] = ["ok", "weak-tilt", "ambiguous", "not-observable", "error"];
 

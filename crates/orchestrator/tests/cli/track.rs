@@ -116,7 +116,7 @@ fn check_drifting_card(limits: &Limits) {
     let with_gap = finished.json_lines(&TRACK_KEYS);
     assert_eq!(with_gap.len(), FRAMES);
     assert_eq!(with_gap[3]["status"], "error");
-    assert!(TRACK_KEYS[3..7].iter().all(|key| with_gap[3][key].is_null()), "{}", with_gap[3]);
+    assert!(TRACK_KEYS[3..9].iter().all(|key| with_gap[3][key].is_null()), "{}", with_gap[3]);
     assert!(with_gap[3]["reason"].as_str().unwrap().contains("right_0003.png"), "{}", with_gap[3]);
     for i in (0..FRAMES).filter(|&i| i != 3) {
         assert!(["ok", "weak-tilt"].contains(&with_gap[i]["status"].as_str().unwrap()), "{}", with_gap[i]);
@@ -133,9 +133,16 @@ fn rotation(m: &[f64]) -> nalgebra::Matrix3<f64> {
 /// In mm and radians: symmetric, and of the size that such images allow. The published method gives none.
 fn check_covariance(method: &str, line: &serde_json::Value) {
     if method == "published" {
-        assert!(line["covariance"].is_null(), "{line}");
+        assert!(
+            ["covariance", "first_pose_covariance", "pose_covariance"].iter().all(|key| line[*key].is_null()),
+            "{line}"
+        );
         return;
     }
+    let [own, first, sum] =
+        ["covariance", "first_pose_covariance", "pose_covariance"].map(|key| numbers(&line[key])[14]);
+    let expected = if line["frame"] == 0 { first } else { first + own };
+    assert!((sum / expected - 1.0).abs() < 1e-9, "{line}");
     let c = numbers(&line["covariance"]);
     assert_eq!(c.len(), 36);
     for i in 0..6 {
@@ -201,13 +208,15 @@ fn a_target_that_is_never_seen_is_given_up() {
 }
 
 /// Keys of a line if there are several targets.
-const KEYS_OF_SEVERAL: [&str; 11] = [
+const KEYS_OF_SEVERAL: [&str; 13] = [
     "frame",
     "target",
     "t_s",
     "status",
     "cam_left_from_model",
     "covariance",
+    "first_pose_covariance",
+    "pose_covariance",
     "observed",
     "fitness",
     "ms",
@@ -282,7 +291,7 @@ fn the_estimates_are_also_a_table_with_the_columns_of_a_run() {
     let lines = tracked.json_lines(&TRACK_KEYS);
     let text = std::fs::read_to_string(&file).unwrap();
     let rows: Vec<Vec<&str>> = text.lines().map(|line| line.split(',').collect()).collect();
-    assert!(rows.len() == FRAMES + 1 && rows.iter().all(|row| row.len() == 12 + 36), "{text}");
+    assert!(rows.len() == FRAMES + 1 && rows.iter().all(|row| row.len() == 12 + 2 * 36), "{text}");
     assert!(text.starts_with("t_s,status,age_ms,latency_ms,fitness,x_mm,y_mm,z_mm,qx,qy,qz,qw,c11,c12,"), "{text}");
     for (line, row) in lines.iter().zip(&rows[1..]) {
         assert_eq!((line["status"].as_str().unwrap(), ""), (row[1], row[2]), "{line}");
@@ -292,8 +301,10 @@ fn the_estimates_are_also_a_table_with_the_columns_of_a_run() {
         };
         let agrees = |k: usize, cell: &str| (pose[k].as_f64().unwrap() - cell.parse::<f64>().unwrap()).abs() < 1e-3;
         assert!(agrees(3, row[5]) && agrees(7, row[6]) && agrees(11, row[7]), "{line} {row:?}");
-        let c22 = numbers(&line["covariance"])[7];
-        assert!((c22 / row[12 + 7].parse::<f64>().unwrap() - 1.0).abs() < 1e-5, "{line} {row:?}");
+        for (key, first) in [("covariance", 12), ("pose_covariance", 12 + 36)] {
+            let c22 = numbers(&line[key])[7];
+            assert!((c22 / row[first + 7].parse::<f64>().unwrap() - 1.0).abs() < 1e-5, "{line} {row:?}");
+        }
     }
     assert_eq!(rows[4][1], "error", "{text}");
     let refused = pb3dp(&words(&[&"track", &"--sequence", &sequence, &"--csv", &dir.path()]));

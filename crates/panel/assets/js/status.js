@@ -54,6 +54,7 @@ function showTarget(target, isIdle) {
     ["position (x, y, z)", `${triple(target.point_mm, 1)} mm`],
     ["1 sigma, position", `${triple(target.sigma_mm, 3)} mm`],
     ["1 sigma, angles", `${triple(target.sigma_deg, 3)}°`],
+    ["since the first pose", `${triple(target.motion_sigma_mm, 3)} mm; ${triple(target.motion_sigma_deg, 3)}°`],
     ["fitness", fixed(target.fitness, 3)],
     ["age, computing", `${fixed(target.age_ms, 0)}, ${fixed(target.latency_ms, 1)} ms`],
   ];

@@ -22,6 +22,8 @@
  * @property {number[]|null} world_from_model
  * @property {number[]|null} sigma_mm
  * @property {number[]|null} sigma_deg
+ * @property {number[]|null} motion_sigma_mm
+ * @property {number[]|null} motion_sigma_deg
  * @property {number[]|null} error_mm
  * @property {number[]|null} error_deg
  */

@@ -70,8 +70,8 @@ pub fn degrees(vector: Vector3<f64>) -> Triple {
 }
 
 /// Standard deviations of a pose, millimetres and degrees; `None` if one is not finite.
-pub fn sigmas(covariance: &Matrix6<f64>) -> Option<(Triple, Triple)> {
-    let sigma = covariance.diagonal().map(f64::sqrt);
+pub fn sigmas(covariance: Option<&Matrix6<f64>>) -> Option<(Triple, Triple)> {
+    let sigma = covariance?.diagonal().map(f64::sqrt);
     let is_finite = sigma.iter().all(|value| value.is_finite());
     is_finite.then(|| (millimetres(sigma.fixed_rows::<3>(0).into()), degrees(sigma.fixed_rows::<3>(3).into())))
 }

@@ -129,10 +129,14 @@ pub struct TargetState {
     pub cam_left_from_model: Option<Transform>,
     /// Pose in the world, by the present joints.
     pub world_from_model: Option<Transform>,
-    /// Standard deviation of the position along the axes of the model.
+    /// Standard deviation of the position along the axes of the model, that of the first pose included.
     pub sigma_mm: Option<Triple>,
-    /// Standard deviation of the orientation about the axes of the model.
+    /// Standard deviation of the orientation about the axes of the model, likewise.
     pub sigma_deg: Option<Triple>,
+    /// Standard deviation of the position since the first pose.
+    pub motion_sigma_mm: Option<Triple>,
+    /// Standard deviation of the orientation since the first pose.
+    pub motion_sigma_deg: Option<Triple>,
     /// Error of the position along the axes of the model, where the truth is known.
     pub error_mm: Option<Triple>,
     /// Error of the orientation, where the truth is known.

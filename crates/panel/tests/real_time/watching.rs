@@ -74,7 +74,8 @@ fn the_state_has_the_errors_and_poses_of_the_target() {
     let target = &state["target"];
     let near = |value: &serde_json::Value, expected: f64| (value.as_f64().unwrap() - expected).abs() < 1e-6;
     assert!(near(&target["error_mm"][2], -2.0) && near(&target["error_deg"][0], 0.0), "{target}");
-    assert!(near(&target["point_mm"][2], 600.0) && near(&target["sigma_mm"][0], 0.1), "{target}");
+    assert!(near(&target["point_mm"][2], 600.0) && near(&target["motion_sigma_mm"][0], 0.1), "{target}");
+    assert!(near(&target["sigma_mm"][0], 0.1 * 5_f64.sqrt()), "{target}");
     assert_eq!(target["status"], "ok");
     assert_eq!(target["outline_right_px"].as_array().unwrap().len(), 4);
     assert!(state["truth"]["world_from_target"].is_array() && target["world_from_model"].is_array());

@@ -356,6 +356,7 @@ impl Loop {
         let estimate = TrackEstimate {
             cam_left_from_model: pose,
             covariance,
+            pose_covariance: covariance.map(|since_first| 5.0 * since_first),
             fitness: Some(0.97),
             outline_px: [[300.0, 220.0], [340.0, 220.0], [340.0, 260.0], [300.0, 260.0]].map(Vector2::from).to_vec(),
             ..TrackEstimate::without_pose(Status::Ok, "test".to_owned())

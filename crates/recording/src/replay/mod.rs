@@ -34,7 +34,7 @@ use pb3dp_cell::perception::{Perception, View};
 use pb3dp_cell::selection::{Choice, Selection, Selections};
 use pb3dp_cell::spectator::{RunEnd, RunRecorder};
 use pb3dp_cell::true_surface::TrueSurface;
-use pb3dp_estimation::estimator::{FramePrior, Tracker};
+use pb3dp_estimation::estimator::FramePrior;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_clock::VirtualClock;
 use pb3dp_kinematics::JointState;
@@ -240,8 +240,7 @@ fn experiment(setup: &Setup) -> Result<Arc<dyn Trajectory>> {
 /// The estimation as it began, with a target for each selection.
 fn estimating<'a>(setup: &'a Setup, run: &RecordedRun) -> Result<(Estimating<'a>, Selections)> {
     let Leader::Images(method) = setup.leader else { bail!("a run without images has no estimation") };
-    let tracker = Tracker::new(method, &setup.rig.stereo, &setup.estimator)?;
-    let cameras = Perception::Images(Box::new(Follower::new(tracker, setup.range)), marking(&run.begin.marking)?);
+    let cameras = Perception::Images(Box::new(Follower::of_setup(setup, method)?), marking(&run.begin.marking)?);
     let selections = Selections::default();
     if let Some(of_setup) = run.begin.target_of_setup.first() {
         selections.set_target_of_setup(&marking(of_setup)?);

@@ -106,7 +106,8 @@ pub struct EstimateInput {
     pub at: MonotonicTime,
     /// Confidence of the estimator in its pose.
     pub confidence: Confidence,
-    /// Covariance of the pose, metres and radians, translation first; `None` if the method has none.
+    /// Covariance of the pose against the visible surface, that of the first pose included, metres and radians, translation first; `None` if
+    /// the method has none.
     pub covariance: Option<Matrix6<f64>>,
     /// Number of the followed target. A lost target that is found again keeps its number; any other target, also after a restart,
     /// gets a new one.

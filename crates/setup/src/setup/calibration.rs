@@ -10,6 +10,8 @@ use pb3dp_record::calibration_files::{Judgement, StereoCalibration, load_stereo_
 use super::super::layers::built_in;
 use super::super::load::Checker;
 
+/// The table of a setup that names the calibration of the cameras.
+pub const CAMERA_TABLE: &str = "camera";
 /// Waives the age of a calibration.
 pub const AGE: &str = "age";
 /// Waives the check that a calibration belongs to the connected cameras.

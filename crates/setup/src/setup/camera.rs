@@ -11,7 +11,7 @@ use std::path::PathBuf;
 
 use super::super::load::{Checker, whole};
 use super::super::units::in_mm;
-use super::calibration::CalibrationInUse;
+use super::calibration::{CAMERA_TABLE, CalibrationInUse};
 use super::camera_faults::{self, FaultSection};
 use super::image_stream::{check_size, frame_rate_hz};
 use super::real_cameras::load_calibration;
@@ -92,7 +92,7 @@ impl CameraSection {
             }
         };
         let waivers = (self.waived_gates.as_deref(), self.calibration_age_max_days);
-        let in_use = CalibrationInUse::new(("camera", loaded.source), loaded.judgement, waivers, check);
+        let in_use = CalibrationInUse::new((CAMERA_TABLE, loaded.source), loaded.judgement, waivers, check);
         (Some(loaded.rig), Some(CalibrationInUse { warnings: loaded.warnings, ..in_use }))
     }
 

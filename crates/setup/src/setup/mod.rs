@@ -43,7 +43,7 @@ use serde::de::IgnoredAny;
 
 use self::arms::{ArmSection, ArmTables, ArmsSection};
 pub use self::arms::{ArmSetup, Arms, acceleration_max_rad_per_s2};
-pub use self::calibration::{AGE, CAMERAS, CalibrationInUse, Waiver, rounded};
+pub use self::calibration::{AGE, CAMERA_TABLE, CAMERAS, CalibrationInUse, Waiver, rounded};
 use self::camera::SceneSection;
 pub use self::drift::DriftConfig;
 use self::drift::DriftSection;

@@ -15,7 +15,7 @@ use serde::Deserialize;
 
 use super::super::layers::{Layers, SetupArgs};
 use super::super::load::{Checker, ConfigError, ConfigFile, FileKind, whole};
-use super::calibration::{CalibrationInUse, load_files};
+use super::calibration::{CAMERA_TABLE, CalibrationInUse, load_files};
 use super::image_stream::{check_size, frame_rate_hz};
 use super::millis;
 use super::range::read_search_range;
@@ -455,7 +455,7 @@ impl V4l2Section {
         check: &mut Checker,
     ) -> CalibrationInUse {
         let waivers = (self.waived_gates.as_deref(), self.calibration_age_max_days);
-        CalibrationInUse::new(("camera", source), judgement, waivers, check)
+        CalibrationInUse::new((CAMERA_TABLE, source), judgement, waivers, check)
     }
 
     fn format(&self, check: &mut Checker) -> Option<PixelFormat> {

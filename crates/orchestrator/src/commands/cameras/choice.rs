@@ -11,6 +11,8 @@ use pb3dp_camera_settings::{
     StampModel, StereoConfig, ValueRange,
 };
 use pb3dp_cell::calibration_facts::CalibrationFacts;
+use pb3dp_cell::calibration_share::term_or_warning;
+use pb3dp_estimation::calibration_term::CalibrationTerm;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_geometry::{ImageSize, StereoRig};
 use pb3dp_record::calibration_files::{StatedCalibration, StereoCalibration, load_stated};
@@ -99,6 +101,8 @@ pub(in crate::commands) struct Chosen {
     pub(in crate::commands) rig: Option<StereoRig>,
     /// What its file states about itself.
     pub(in crate::commands) calibration: Option<CalibrationFacts>,
+    /// Its errors, if its file states them.
+    pub(in crate::commands) calibration_term: Option<CalibrationTerm>,
     /// Target settings of the setup.
     pub(in crate::commands) target: ChosenTarget,
 }
@@ -192,7 +196,13 @@ impl CameraChoice {
             config.calibrate(rig)?;
             check_size(rig, config.size()).context("--size")?;
         }
-        Ok(Chosen { config, rig, calibration: loaded.as_ref().map(facts), target: ChosenTarget::default() })
+        Ok(Chosen {
+            config,
+            rig,
+            calibration: loaded.as_ref().map(facts),
+            calibration_term: loaded.as_ref().and_then(term_or_warning),
+            target: ChosenTarget::default(),
+        })
     }
 
     /// The layout, and the device of the left and of the right view.
@@ -234,7 +244,8 @@ fn of_setup(setup: &SetupArgs, needs_calibration: bool) -> Result<Chosen> {
     }
     let target = ChosenTarget { region: cameras.region, range: Some(range) };
     let (rig, calibration) = (loaded.as_ref().map(|loaded| loaded.rig), loaded.as_ref().map(facts));
-    Ok(Chosen { config: cameras.stereo, rig, calibration, target })
+    let calibration_term = loaded.as_ref().and_then(term_or_warning);
+    Ok(Chosen { config: cameras.stereo, rig, calibration, calibration_term, target })
 }
 
 fn warn_of(loaded: Option<&StereoCalibration>) {

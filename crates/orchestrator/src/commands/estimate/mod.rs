@@ -9,11 +9,10 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
-use nalgebra::Vector2;
+use nalgebra::{Matrix6, Vector2};
 use pb3dp_cell::annotation::{Annotation, annotate, polygon_px};
 use pb3dp_cell::calibration_share::of_first;
 use pb3dp_cell::result_lines::EstimateLine;
-use pb3dp_cell::result_lines::millimetres::covariance_mm;
 use pb3dp_cell::terminal::print_line;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
 use pb3dp_estimation::pair_check::check_pair;
@@ -199,8 +198,8 @@ fn work(
     }
     let (centroid_px, z_m) = estimate.point_at(job.centroid_px.map(Vector2::from));
     tell(&job.name, &estimate);
-    let mut line = EstimateLine::of(&job.name, method.name(), &estimate, (centroid_px, z_m), millis);
-    line.calibration_covariance = calibration_covariance(job, &estimate, &centroid_px, &config.published.region)?;
+    let share = calibration_share(job, &estimate, &centroid_px, &config.published.region)?;
+    let mut line = EstimateLine::of(&job.name, method.name(), &estimate, (centroid_px, z_m), share.as_ref(), millis);
     line.surface = surface;
     line.warnings.extend(pair_warning.into_iter().chain(job.calibration_warnings.iter().cloned()));
     if let Err(error) = overlays.draw(job, &estimate, &line, &config.published.region) {
@@ -210,16 +209,15 @@ fn work(
 }
 
 /// The share of the calibration in the covariance of the model frame at a point of the left image.
-fn calibration_covariance(
+fn calibration_share(
     job: &Job,
     estimate: &PlaneEstimate,
     at_px: &Vector2<f64>,
     regions: &RegionConfig,
-) -> Result<Option<Vec<f64>>> {
+) -> Result<Option<Matrix6<f64>>> {
     let (Some(term), Some(frame)) = (&job.calibration_term, estimate.model_frame(at_px)) else { return Ok(None) };
     let outline_px = job.region.outline_px(&job.region.rasterize(&job.left, regions)?);
-    let share = of_first(term, &job.rig, &frame.cam_left_from_model, &outline_px);
-    Ok(share.as_ref().map(covariance_mm))
+    Ok(of_first(term, &job.rig, &frame.cam_left_from_model, &outline_px))
 }
 
 /// The best of all chromosomes; separate from the estimate, so that its time does not count.

@@ -48,6 +48,7 @@ impl EstimateFiles {
                     fitness: estimate.fitness,
                     cam_left_from_model: estimate.cam_left_from_model.as_ref(),
                     covariance: estimate.covariance.as_ref(),
+                    pose_covariance: estimate.pose_covariance.as_ref(),
                     ..unknown
                 },
                 Outcome::Refused { .. } => unknown,
@@ -88,5 +89,6 @@ fn without_estimate(t_s: f64) -> EstimateRow<'static> {
         fitness: None,
         cam_left_from_model: None,
         covariance: None,
+        pose_covariance: None,
     }
 }

@@ -10,9 +10,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use pb3dp_cell::calibration_share::{TrackShares, term_or_warning};
 use pb3dp_cell::result_lines::TrackLine;
-use pb3dp_cell::result_lines::millimetres::covariance_mm;
 use pb3dp_cell::search_range::range_of_dataset;
 use pb3dp_cell::terminal::print_line;
 use pb3dp_estimation::estimator::Method;
@@ -57,7 +55,6 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     }
     let rig = *recording.camera.rig();
     let mut walk = new_walk(&recording, args)?;
-    let mut shares = TrackShares::new(rig, term_or_warning(recording.camera.calibration()), walk.targets().len());
     let mut csv = EstimateFiles::open(args.csv.as_deref(), walk.targets().len())?;
     let mut overlays = Overlays::open(&args.method)?;
     let mut pair = FramePair::black(rig.left().size());
@@ -78,7 +75,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
                     tracing::warn!("frame {frame}: no image: {error:#}");
                 }
                 csv.add(t_s, &found)?;
-                all_lines(frame, t_s, &found, &mut shares)
+                all_lines(frame, t_s, &found)
             }
             Err(error) if error.kind() == CameraErrorKind::BadPair => {
                 unread += 1;
@@ -139,23 +136,16 @@ fn new_walk(recording: &Recording, args: &TrackArgs) -> Result<Walk> {
 }
 
 /// A line for each target of a frame.
-fn all_lines(frame: usize, t_s: f64, found: &[TargetResult], shares: &mut TrackShares) -> Vec<TrackLine> {
-    let line = |(index, found): (usize, &TargetResult)| {
+fn all_lines(frame: usize, t_s: f64, found: &[TargetResult]) -> Vec<TrackLine> {
+    let line = |found: &TargetResult| {
         let mut line = match &found.outcome {
-            Outcome::Estimate { estimate, millis } => {
-                let share = shares.share(index, estimate);
-                TrackLine {
-                    calibration_covariance: share.map(|share| covariance_mm(&share.pose)),
-                    calibration_covariance_of_motion: share.map(|share| covariance_mm(&share.motion)),
-                    ..TrackLine::of(frame, t_s, estimate, *millis)
-                }
-            }
+            Outcome::Estimate { estimate, millis } => TrackLine::of(frame, t_s, estimate, *millis),
             Outcome::Refused { reason } => TrackLine::of_error(frame, t_s, reason),
         };
         line.warnings.extend(found.rig_warnings.iter().cloned());
         TrackLine { target: found.target, ..line }
     };
-    found.iter().enumerate().map(line).collect()
+    found.iter().map(line).collect()
 }
 
 /// Logs the table of motion errors, and the components that the method does not observe. The truth of a sequence belongs to its own

@@ -5,6 +5,7 @@ use std::mem::Discriminant;
 use anyhow::{Context, Result, bail};
 use image::RgbImage;
 use nalgebra::Vector2;
+use pb3dp_cell::calibration_share::term_or_warning;
 use pb3dp_cell::follower::Follower;
 use pb3dp_estimation::estimator::{FramePrior, Tracker};
 use pb3dp_estimation::pair_check::check_pair;
@@ -221,7 +222,11 @@ impl Walk {
                 args.sequence.display()
             );
         }
-        let target = |mark| Ok(TrackedTarget::new(mark, Tracker::new(method, rig, &config)?, range));
+        let term = term_or_warning(recording.camera.calibration());
+        let target = |mark| {
+            let tracker = Tracker::new(method, rig, &config)?.with_calibration(term.clone());
+            Ok(TrackedTarget::new(mark, tracker, range))
+        };
         Ok(Self {
             rig: *rig,
             targets: marks.into_iter().map(target).collect::<Result<_>>()?,

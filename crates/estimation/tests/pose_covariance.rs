@@ -1,0 +1,89 @@
+//! The two covariances of a pose: of the first one, which defines `model`, and since then.
+#![allow(clippy::expect_used, reason = "inputs that are valid")]
+
+use nalgebra::Matrix6;
+use pb3dp_estimation::calibration_term::CalibrationTerm;
+use pb3dp_estimation::estimator::{EstimatorConfig, Method, Tracker};
+use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_estimation_core::method::{EstimateRequest, FramePrior};
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+
+use crate::moving_plane::{Shot, general_rig, moving, region, render};
+
+const FPS: f64 = 30.0;
+const FRAMES: u32 = 5;
+
+/// Frames of a target that moves in six directions, whose right image is exposed later by a skew that is known.
+fn tracked(term: Option<CalibrationTerm>, skew_s: f64) -> Vec<TrackEstimate> {
+    let rig = general_rig();
+    let tracker = Tracker::new(Method::Direct, &rig, &EstimatorConfig::default()).expect("tracker");
+    let mut tracker = tracker.with_calibration(term);
+    let range = SearchRange { z_min_m: 0.3, z_max_m: 0.7, tilt_max_rad: 0.8 };
+    let follow = |frame: u32| {
+        let t_s = f64::from(frame) / FPS;
+        let [now, later] = [t_s, t_s + skew_s]
+            .map(|t_s| render(&rig, &Shot { cam_left_from_target: Some(moving(t_s)), frame, right_gain: 1.0 }));
+        let prior = FramePrior { dt_s: Some(1.0 / FPS), ..FramePrior::of_skew(skew_s) };
+        let region = region(&rig, &moving(t_s));
+        tracker
+            .estimate(match frame {
+                0 => EstimateRequest::of_target(&now.0, &later.1, &region, &range).with_skew(skew_s),
+                _ => EstimateRequest::of_next(&now.0, &later.1, &prior),
+            })
+            .expect("valid images")
+    };
+    (0..FRAMES).map(follow).collect()
+}
+
+fn far(one: &Matrix6<f64>, other: &Matrix6<f64>) -> f64 {
+    (one - other).norm() / other.norm()
+}
+
+#[test]
+fn every_frame_has_the_error_of_the_first_pose_and_the_sum() {
+    let frames = tracked(None, 0.0);
+    let first = frames[0].covariance.expect("a covariance");
+    assert_eq!((frames[0].first_pose_covariance, frames[0].pose_covariance), (Some(first), Some(first)));
+    for later in &frames[1..] {
+        let own = later.covariance.expect("a covariance");
+        assert_eq!(later.first_pose_covariance, Some(first));
+        assert_eq!(later.pose_covariance, Some(first + own));
+        assert_eq!(later.calibration, None);
+    }
+}
+
+#[test]
+fn the_calibration_is_in_the_first_pose_and_in_the_sum() {
+    let names = ["left.fx".to_owned(), "cam_right_from_cam_left.ry_rad".to_owned()];
+    let rows = [vec![4.0, 1e-4], vec![1e-4, 1e-6]];
+    let term = CalibrationTerm::new(&general_rig(), &names, &rows).expect("a term");
+    let (exact, uncertain) = (tracked(None, 0.0), tracked(Some(term), 0.0));
+    let share_of_first = uncertain[0].calibration.expect("a share").pose;
+    for (exact, uncertain) in exact.iter().zip(&uncertain) {
+        let same = |estimate: &TrackEstimate| (estimate.cam_left_from_model, estimate.covariance);
+        assert_eq!(same(exact), same(uncertain));
+        let share = uncertain.calibration.expect("a share").pose;
+        for (known, without, share) in [
+            (uncertain.pose_covariance, exact.pose_covariance, share),
+            (uncertain.first_pose_covariance, exact.first_pose_covariance, share_of_first),
+        ] {
+            let [known, without] = [known, without].map(|covariance| covariance.expect("a covariance"));
+            assert!(far(&known, &(without + share)) < 1e-9, "{known} {without} {share}");
+            // 2 px of 700: 1.4 mm of half a metre.
+            assert!(share[(2, 2)] > 100.0 * without[(2, 2)], "{share} {without}");
+        }
+    }
+}
+
+/// The first pair does not show the motion between its exposures, and the second one does.
+#[test]
+fn the_second_frame_makes_the_first_pose_of_a_moving_target_surer() {
+    let depth_mm = |covariance: Option<Matrix6<f64>>| 1e3 * covariance.expect("a covariance")[(2, 2)].sqrt();
+    let frames = tracked(None, 5e-3);
+    let [at_first, since] = [0, 1].map(|frame| depth_mm(frames[frame].first_pose_covariance));
+    assert!(at_first > 1.0 && since < 0.3 * at_first, "{at_first} {since}");
+    for later in &frames[1..] {
+        let [first, whole, own] = [later.first_pose_covariance, later.pose_covariance, later.covariance].map(depth_mm);
+        assert!((first - since).abs() < 1e-9 && (whole - first.hypot(own)).abs() < 1e-9, "{first} {whole} {own}");
+    }
+}
