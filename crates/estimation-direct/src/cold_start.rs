@@ -4,6 +4,7 @@
 
 mod areas;
 mod contest;
+mod elsewhere;
 mod levels;
 
 use nalgebra::Vector2;
@@ -11,7 +12,7 @@ use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_range};
 use pb3dp_estimation_core::ranges;
 
-use super::beyond::{Beyond, BeyondRange, is_doubtful};
+use super::beyond::Beyond;
 use super::disparity_plane::{DisparityPlane, DisparityRange};
 use super::front_end::StereoFrontEnd;
 use super::patches::{PatchConfig, PatchOutcome, SUPPORTS, SlantedPatches};
@@ -271,30 +272,6 @@ impl ColdStart {
         })
     }
 
-    /// The best plane beyond the searched disparities, if the result for the last pair is doubtful and the right image shows
-    /// such a plane. The other arguments are those of [`Self::run`].
-    pub fn look_beyond(
-        &mut self,
-        outcome: &ColdStartOutcome,
-        front_end: &StereoFrontEnd,
-        source: &PyramidSource<'_>,
-        is_tilt_allowed: impl Fn(&DisparityPlane) -> bool,
-    ) -> Option<BeyondRange> {
-        if !is_doubtful(outcome, &self.config.choice) {
-            return None;
-        }
-        self.beyond.best(
-            front_end,
-            source,
-            &outcome.first.plane,
-            &self.config.search,
-            &self.config.patches,
-            &self.config.choice,
-            is_tilt_allowed,
-            self.kernels,
-        )
-    }
-
     /// Refines a plane, of a small region with its surroundings, if there is time; `None` without time or with too few points.
     fn refined(
         &mut self,
@@ -412,18 +389,29 @@ impl ColdStart {
 
     /// The period of the region's texture, if a plane shifted by one period would be outside the searched disparities.
     fn repeats_px(&mut self, plane: &DisparityPlane, searched_px: DisparityRange, infinity_px: f64) -> Option<f64> {
-        let level = &self.pyramid.levels()[self.searched];
-        let scale = level.scale as f64;
         let own_px = plane.at(&self.pyramid.centroid_px());
         // At closer range the right image does not show the middle of the region.
         let nearest_px = searched_px.highest.min(self.pyramid.centroid_px().x);
         let leaves_px = (own_px - searched_px.lowest).min(nearest_px - own_px).max(0.0);
+        self.period_px(self.searched, plane, leaves_px, infinity_px)
+    }
+
+    /// The shortest period of the region's texture along the rows that is at least `shortest_px`, as a level shows it.
+    fn period_px(&mut self, index: usize, plane: &DisparityPlane, shortest_px: f64, infinity_px: f64) -> Option<f64> {
+        let level = &self.pyramid.levels()[index];
+        let scale = level.scale as f64;
         let sought = PeriodSearch {
-            middle_px: own_px / scale,
+            middle_px: plane.at(&self.pyramid.centroid_px()) / scale,
             infinity_px: infinity_px / scale,
-            shortest_px: leaves_px / scale,
+            shortest_px: shortest_px / scale,
         };
         Some(scale * self.repetition.period_px(level, &level.level_plane(plane), sought, &self.config.choice)?)
+    }
+
+    /// Index of the level on which the patches are evaluated last.
+    fn finest_level(&self) -> usize {
+        let limit = self.config.patch_area_px;
+        self.pyramid.levels().iter().position(|l| l.area_px <= limit).unwrap_or(self.searched).min(self.searched)
     }
 
     /// Evaluates the patches for a plane.
@@ -472,8 +460,7 @@ impl ColdStart {
     /// Refines a plane from the searched level to the finest patch level, with one or two evaluations per level. Afterwards the
     /// levels mark the pixels that agree with the plane.
     fn descend(&mut self, start: DisparityPlane, may_continue: &mut dyn FnMut() -> bool) -> Descent {
-        let (centre, coarsest, limit) = (self.pyramid.centroid_px(), self.searched, self.config.patch_area_px);
-        let finest = self.pyramid.levels().iter().position(|l| l.area_px <= limit).unwrap_or(coarsest).min(coarsest);
+        let (centre, coarsest, finest) = (self.pyramid.centroid_px(), self.searched, self.finest_level());
         let mut plane = start;
         let mut index = coarsest;
         loop {
@@ -574,7 +561,12 @@ impl ColdStart {
     /// Whether two planes differ by more than two pixels of the search level at the region's centroid or, on average, at the
     /// corners of its box.
     fn differs(&self, a: &DisparityPlane, b: &DisparityPlane) -> bool {
-        let limit = self.config.choice.differs_px * self.pyramid.levels()[self.searched].scale as f64;
+        self.differs_on(self.searched, a, b)
+    }
+
+    /// The same for two pixels of another level.
+    fn differs_on(&self, index: usize, a: &DisparityPlane, b: &DisparityPlane) -> bool {
+        let limit = self.config.choice.differs_px * self.pyramid.levels()[index].scale as f64;
         let gap = |at: &Vector2<f64>| (a.at(at) - b.at(at)).abs();
         gap(&self.pyramid.centroid_px()) > limit || self.box_corners().iter().map(gap).sum::<f64>() > 4.0 * limit
     }

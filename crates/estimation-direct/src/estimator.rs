@@ -26,7 +26,7 @@ use super::surface_plane::surface_plane;
 use super::tilt_limits::TiltLimits;
 use super::verdict::{
     DirectVerdictConfig, SAME_IMAGE, Searched, Steeper, is_no_plane, judge, lies_beyond, may_be_unseen, nothing_found,
-    similar_second,
+    same_elsewhere, similar_second,
 };
 use crate::outcome::{ColdStartOutcome, Rival, UnlimitedPlane};
 use pb3dp_estimation_core::rig_errors::RigErrors;
@@ -362,6 +362,12 @@ fn objection(
     if source.disparity_px.highest > leaves_px && correlation < choice.unseen_correlation_min {
         let nearest = view.pose(&DisparityPlane { centre_px, d0_px: leaves_px, slope: Vector2::zeros() })?;
         return Some(may_be_unseen(nearest.z_m, correlation, choice.unseen_correlation_min));
+    }
+    let copies = cold_start.look_elsewhere(outcome, front_end, source);
+    if let Some(best) = copies.first() {
+        let planes = std::iter::once(&outcome.patch_plane).chain(copies.iter().map(|copy| &copy.plane));
+        let depths_m = planes.map(|plane| view.pose(plane).map(|pose| pose.z_m)).collect::<Vec<_>>();
+        return Some(same_elsewhere(&depths_m, best.score_ratio));
     }
     let found = cold_start.look_beyond(outcome, front_end, source, allowed)?;
     let z_m = view.pose(&found.plane).map(|pose| pose.z_m);

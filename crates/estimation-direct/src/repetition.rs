@@ -7,6 +7,7 @@
 //! On a tilted target the period is longer where the target is nearer. The copy is therefore moved in proportion to the
 //! disparity (plus the offset to infinity), which again gives a plane.
 
+use super::colour_planes::ColourPlanes;
 use super::region_pyramid::{LevelPlane, RegionLevel, is_seen};
 use super::search::NOISE_GREY;
 use crate::surface_choice::SurfaceChoice;
@@ -87,7 +88,7 @@ impl Repetition {
         self.own.clear();
         let at_origin = plane.c + f64::from(level.column_shift()) + infinity_px;
         self.own.extend(self.points.iter().map(|&(x, y)| {
-            let own = neighbourhood(&rows_around(level, y), x);
+            let own = neighbourhood(&rows_around(&level.left, y), x);
             (own, own.agreement(&own), at_origin + plane.a * x as f64 + plane.b * y as f64)
         }));
         let (low, high) =
@@ -105,12 +106,12 @@ impl Repetition {
                 continue;
             }
             self.starts.resize(y + 1, self.table.len());
-            let rows = rows_around(level, y);
+            let rows = rows_around(&level.left, y);
             let inside = &level.region[y * width..(y + 1) * width];
             self.table.extend(inside.iter().enumerate().map(|(x, &inside)| {
                 match inside != 0 && x > 0 && x + 1 < width {
                     true => neighbourhood(&rows, x),
-                    false => Neighbourhood([0.0; 9]),
+                    false => Neighbourhood::default(),
                 }
             }));
         }
@@ -134,22 +135,22 @@ impl Repetition {
 }
 
 /// A neighbourhood of 3 x 3 pixels minus its mean, with a norm of nearly one if it has texture.
-#[derive(Clone, Copy, Debug)]
-struct Neighbourhood([f32; 9]);
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Neighbourhood([f32; 9]);
 
 impl Neighbourhood {
-    fn agreement(&self, other: &Self) -> f32 {
+    pub(super) fn agreement(&self, other: &Self) -> f32 {
         self.0.iter().zip(&other.0).map(|(a, b)| a * b).sum()
     }
 }
 
-/// The three rows around an interior row.
-fn rows_around(level: &RegionLevel, y: usize) -> [&[f32]; 3] {
-    let plane = level.left.luminance();
+/// The three rows around an interior row of an image.
+pub(super) fn rows_around(image: &ColourPlanes, y: usize) -> [&[f32]; 3] {
+    let plane = image.luminance();
     std::array::from_fn(|j| plane.row(y + j - 1))
 }
 
-fn neighbourhood(rows: &[&[f32]; 3], x: usize) -> Neighbourhood {
+pub(super) fn neighbourhood(rows: &[&[f32]; 3], x: usize) -> Neighbourhood {
     let rows = rows.map(|row| &row[x - 1..x + 2]);
     let mut values: [f32; 9] = std::array::from_fn(|k| rows[k / 3][k % 3]);
     let mean = values.iter().sum::<f32>() / 9.0;

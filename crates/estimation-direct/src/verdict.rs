@@ -99,6 +99,17 @@ pub(super) fn lies_beyond(z_m: Option<f64>, score_ratio: f64) -> String {
     )
 }
 
+/// Reason if the right image shows the same as the region at other depths, which may be outside the depth range: that of the answer first, `None`
+/// for one behind the camera.
+pub(super) fn same_elsewhere(depths_m: &[Option<f64>], score_ratio: f64) -> String {
+    let words = |z_m: &Option<f64>| z_m.map_or("far away".to_owned(), |z_m| format!("{:.0} mm", 1e3 * z_m));
+    format!(
+        "the region looks the same at {} ({:.0} % of the score): identical parts or a pattern that repeats; mark something that is unique as well",
+        depths_m.iter().map(words).collect::<Vec<_>>().join(" and "),
+        100.0 * score_ratio
+    )
+}
+
 /// Reason if the region may be nearer than `z_m`, where the right image does not show it.
 pub(super) fn may_be_unseen(z_m: f64, correlation: f64, limit: f64) -> String {
     format!(
