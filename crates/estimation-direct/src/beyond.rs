@@ -38,19 +38,19 @@ pub(super) struct Beyond {
 
 impl Default for Beyond {
     fn default() -> Self {
-        Self::new(&SurfaceChoice::default())
+        Self::new(&SurfaceChoice::default(), usize::MAX)
     }
 }
 
 impl Beyond {
-    /// Creates a search with empty buffers.
-    pub fn new(choice: &SurfaceChoice) -> Self {
+    /// Creates a search with empty buffers. `patch_area_px`: as in [`Examined`].
+    pub fn new(choice: &SurfaceChoice, patch_area_px: usize) -> Self {
         Self {
             pyramid: RegionPyramid::up_to(choice.beyond_area_px as usize),
             search: PlaneSearch::default(),
             patches: SlantedPatches::default(),
             copies: Copies::default(),
-            elsewhere: RegionPyramid::default(),
+            elsewhere: RegionPyramid::up_to(patch_area_px),
         }
     }
 }
@@ -108,6 +108,10 @@ impl Beyond {
         let centre = self.pyramid.centroid_px();
         let answer = answer.centred_at(centre);
         let infinity_px = front_end.geometry().disparity_offset_px;
+        let relative_px = answer.d0_px + infinity_px;
+        if relative_px <= 0.0 {
+            return Vec::new();
+        }
         let mut candidates = self.copies.find(&self.pyramid.levels()[0], &answer, infinity_px);
         for plane in &mut candidates {
             // On the coarse level the reach of the patches covers an error of the slope.
@@ -117,7 +121,6 @@ impl Beyond {
                 *plane = level.full_plane(&found.plane, centre);
             }
         }
-        let relative_px = answer.d0_px + infinity_px;
         let by_period = period_px.into_iter().flat_map(|period_px| [period_px, -period_px]);
         let by_period = by_period.map(|by_px| scaled(&answer, 1.0 + by_px / relative_px, infinity_px));
         // A coarse level may not show a short period.

@@ -177,7 +177,7 @@ impl ColdStart {
     pub fn new(config: ColdStartConfig, kernels: Kernels) -> Self {
         let refiner = PlaneRefiner::new(config.refine.clone(), kernels);
         let pyramid = RegionPyramid::up_to(config.finest_area_px()).keeping_colours();
-        let beyond = Beyond::new(&config.choice);
+        let beyond = Beyond::new(&config.choice, config.patch_area_px);
         let surrounded = RegionPyramid::surrounded(config.surroundings_px);
         Self { config, kernels, pyramid, surrounded, refiner, beyond, ..Self::default() }
     }

@@ -28,7 +28,6 @@ pub(super) struct Copies {
     points: Vec<(usize, usize, Neighbourhood, f64)>,
     /// Neighbourhoods of the rows of the right window; rows without points are empty.
     rows: Vec<Vec<Neighbourhood>>,
-    profile: Vec<f64>,
     /// Added to disparities of the level so that they are zero at infinity.
     infinity_px: f64,
 }
@@ -39,20 +38,15 @@ impl Copies {
     pub fn find(&mut self, level: &RegionLevel, answer: &DisparityPlane, infinity_px: f64) -> Vec<DisparityPlane> {
         let scale = level.scale as f64;
         let middle = answer.d0_px + infinity_px;
-        if middle <= 0.0 {
-            return Vec::new();
-        }
         self.infinity_px = infinity_px / scale;
         self.take(level, answer);
         let (left, right) = (level.left.window, level.right.window);
         // Until the last column of the region leaves the right window.
         let steps = left.x + left.width as i32 - right.x + self.infinity_px as i32;
-        let mut profile = std::mem::take(&mut self.profile);
-        profile.clear();
-        profile.extend((0..steps).map(|step| self.resemblance(level, f64::from(step) * scale / middle)));
-        self.profile = profile;
+        let profile: Vec<f64> =
+            (0..steps).map(|step| self.resemblance(level, f64::from(step) * scale / middle)).collect();
         let own = (middle / scale).round() as i32;
-        let at = |step: i32| usize::try_from(step).ok().and_then(|step| self.profile.get(step)).copied().unwrap_or(0.0);
+        let at = |step: i32| usize::try_from(step).ok().and_then(|step| profile.get(step)).copied().unwrap_or(0.0);
         let of_answer = (own - 1..=own + 1).map(at).fold(0.0, f64::max);
         let is_peak = |step: &i32| {
             let near = (step - 1..=step + 1).map(at).fold(0.0, f64::max);

@@ -275,9 +275,10 @@ pub struct Tracker {
     watched_skew_s: f64,
     /// Whether a warning has said that the images do not show the rig, since the target was marked.
     is_told_unchecked: bool,
-    /// The errors of the calibration, if they are known, and the first pair of the target as they change it.
+    /// The errors of the calibration, if they are known.
     calibration: Option<Box<CalibrationTerm>>,
-    first_pair: Option<FirstPair>,
+    /// The first pair of the target, and their share in its pose.
+    first_pair: Option<(FirstPair, Option<Matrix6<f64>>)>,
 }
 
 /// Rows show errors of the rig only if both cameras expose at once, to this time, seconds: at 100 mm/s and 0.5 m rows differ by 0.15 px.
@@ -456,15 +457,19 @@ impl Tracker {
         };
         let (Some(term), Some(pose)) = (&self.calibration, estimate.cam_left_from_model) else { return };
         if self.first_pair.is_none() {
-            self.first_pair = FirstPair::of_outline(self.watch.calibrated(), &pose, &estimate.outline_px);
+            let first_pair = FirstPair::of_outline(self.watch.calibrated(), &pose, &estimate.outline_px);
+            self.first_pair = first_pair.map(|first_pair| {
+                let share = term.share_of_first(&first_pair);
+                (first_pair, share)
+            });
         }
-        let Some(first_pair) = &self.first_pair else { return };
+        let Some((first_pair, share_of_first)) = &self.first_pair else { return };
         estimate.calibration = term.share(first_pair, &pose);
         let add = |to: &mut Option<Matrix6<f64>>, share: Option<Matrix6<f64>>| {
             *to = to.zip(share).map(|(to, share)| to + share)
         };
         add(&mut estimate.pose_covariance, estimate.calibration.map(|share| share.pose));
-        add(&mut estimate.first_pose_covariance, term.share_of_first(first_pair));
+        add(&mut estimate.first_pose_covariance, *share_of_first);
     }
 
     /// Whether the rows of the whole image show the rig: both cameras expose at once.

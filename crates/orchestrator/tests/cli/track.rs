@@ -208,21 +208,10 @@ fn a_target_that_is_never_seen_is_given_up() {
 }
 
 /// Keys of a line if there are several targets.
-const KEYS_OF_SEVERAL: [&str; 13] = [
-    "frame",
-    "target",
-    "t_s",
-    "status",
-    "cam_left_from_model",
-    "covariance",
-    "first_pose_covariance",
-    "pose_covariance",
-    "observed",
-    "fitness",
-    "ms",
-    "reason",
-    "warnings",
-];
+fn keys_of_several() -> Vec<&'static str> {
+    let (frame, others) = TRACK_KEYS.split_first().unwrap();
+    [frame, &"target"].into_iter().chain(others).copied().collect()
+}
 
 /// The second target is a part of the same card: both move alike, and the first is what it is alone.
 #[test]
@@ -237,7 +226,7 @@ fn several_targets_are_told_apart_and_do_not_disturb_each_other() {
     let both =
         pb3dp(&words(&[&"track", &"--sequence", &sequence, &"--region", &region, &"--json", &"--overlay", &overlay]))
             .assert_success();
-    let lines = both.json_lines(&KEYS_OF_SEVERAL);
+    let lines = both.json_lines(&keys_of_several());
     assert_eq!(lines.len(), 2 * FRAMES);
     for (i, (pair, alone)) in lines.chunks(2).zip(alone.json_lines(&TRACK_KEYS)).enumerate() {
         assert!(pair[0]["frame"] == i && pair[0]["target"] == 0 && pair[1]["frame"] == i && pair[1]["target"] == 1);
@@ -268,7 +257,7 @@ fn a_region_that_is_refused_leaves_the_other_targets_alone() {
     let refused = track(&["--region", "rect:5,5,3,3"]);
     refused.assert_refused(&["frame 0, target 1", "region", "left out"]);
     assert_eq!(refused.stderr.matches("left out").count(), 1, "{}", refused.stderr);
-    let lines = refused.json_lines(&KEYS_OF_SEVERAL);
+    let lines = refused.json_lines(&keys_of_several());
     assert_eq!(lines.len(), 2 * FRAMES);
     for (pair, alone) in lines.chunks(2).zip(alone) {
         assert_eq!(pair[0]["cam_left_from_model"], alone["cam_left_from_model"]);
