@@ -209,7 +209,7 @@ const TRACK_JSON: &str =
                        along the axes of the model, with true pose = cam_left_from_model * exp(xi): of the pose since the
                        first one, and in the first frame that of the first pose
   first_pose_covariance  the same of the first pose against the visible surface of the target
-  pose_covariance      the sum: the same of this pose against the visible surface
+  pose_covariance      the sum, in the first frame that of the first pose: the same of this pose against the visible surface
   calibration_covariance, calibration_covariance_of_motion  the share of the calibration in pose_covariance, and that to be
                        added to covariance, if the calibration file states a covariance
   observed             six booleans, whether the images determine x, y, z and the turns about them, or null

@@ -229,7 +229,8 @@ mod tests {
     fn the_stated_deviation_of_a_curved_surface_holds() {
         let found = measure("first-pose/potato", TargetConfig::potato(), 3, 2).unwrap();
         let [[_, _, z_rms, ..], [_, _, tilt_rms, sigma, within]] = found.figures;
-        assert!(found.found >= found.starts - 3, "{found:?}");
+        // As many as before, of which 3 were `ok`.
+        assert!(found.found >= 11 && found.ok >= 9, "{found:?}");
         assert!(z_rms < 0.6 && tilt_rms < 1.5 && within >= 0.8 && sigma < 2.0 * tilt_rms, "{found:?}");
     }
 }
