@@ -12,6 +12,7 @@ use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_range};
 use pb3dp_estimation_core::ranges;
 
+pub use self::elsewhere::COPY_SCORE_MIN;
 use super::beyond::Beyond;
 use super::disparity_plane::{DisparityPlane, DisparityRange};
 use super::front_end::StereoFrontEnd;

@@ -11,7 +11,7 @@ use pb3dp_estimation_core::region::{RegionConfig, RegionMask};
 use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::StereoRig;
 
-use super::cold_start::{ColdStart, ColdStartConfig};
+use super::cold_start::{COPY_SCORE_MIN, ColdStart, ColdStartConfig};
 use super::colour_planes::Wanted;
 use super::directions::tell;
 use super::disparity_plane::{DisparityPlane, DisparityRange, inverse_depth_from_disparity};
@@ -365,6 +365,12 @@ fn objection(
     }
     let copies = cold_start.look_elsewhere(outcome, front_end, source);
     if let Some(best) = copies.first() {
+        let DisparityRange { lowest, highest } = source.disparity_px;
+        let is_outside = !(lowest..=highest).contains(&best.plane.d0_px);
+        // The answer does not explain the region as well as this, so that there is one explanation.
+        if is_outside && best.score_ratio * COPY_SCORE_MIN > 1.0 {
+            return Some(lies_beyond(view.pose(&best.plane).map(|pose| pose.z_m), best.score_ratio));
+        }
         let planes = std::iter::once(&outcome.patch_plane).chain(copies.iter().map(|copy| &copy.plane));
         let depths_m = planes.map(|plane| view.pose(plane).map(|pose| pose.z_m)).collect::<Vec<_>>();
         return Some(same_elsewhere(&depths_m, best.score_ratio));

@@ -13,7 +13,7 @@ const PERIOD_MIN_PX: f64 = 3.0;
 
 /// A plane at another depth explains the region as well with this share of the score of the answer. Chosen with figures: of 420 rendered rows of
 /// identical parts and fences none is `ok` and wrong, and of 227 real cases that were `ok` one is not any more.
-const COPY_SCORE_MIN: f64 = 0.86;
+pub const COPY_SCORE_MIN: f64 = 0.86;
 
 impl ColdStart {
     /// The best plane beyond the searched disparities, if the result for the last pair is doubtful and the right image shows
