@@ -93,14 +93,25 @@ def test_a_replay_can_be_recorded_and_replayed(run, tmp_path):
     assert "a replay of" in text and compared(text, "estimates")[0] >= 29, text
 
 
+def tracking_run(base, file):
+    """A recorded run with threads that has followed its target for a second; how long its start takes depends on the computer."""
+    args = ["run", "--config", "hil", "--stop-after", "20", "--out", base / "out", "--record", file]
+    process = subprocess.Popen([PB3DP, *map(str, args)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    told = []
+    for line in process.stderr:
+        told.append(line)
+        if line.rstrip().endswith(" s  tracking"):
+            time.sleep(1)
+            assert process.poll() is None, "".join(told)
+            return process
+    raise AssertionError("".join(told))
+
+
 def test_a_run_that_was_killed_is_replayed_up_to_its_end(tmp_path):
     file = tmp_path / "killed.mcap"
-    args = ["run", "--config", "hil", "--stop-after", "20", "--out", tmp_path / "out", "--record", file]
-    process = subprocess.Popen([PB3DP, *map(str, args)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    with pytest.raises(subprocess.TimeoutExpired):
-        process.wait(4)
+    process = tracking_run(tmp_path, file)
     process.kill()
-    process.wait()
+    process.communicate(timeout=60)
     text = pb3dp("replay", file)
     assert text.endswith("equal to the bit\n"), text
     assert compared(text, "decisions")[0] > 50, text
@@ -109,9 +120,7 @@ def test_a_run_that_was_killed_is_replayed_up_to_its_end(tmp_path):
 def test_a_run_that_ends_with_a_fault_is_replayed_to_the_bit(tmp_path):
     """The computer stands still: the arms stop, and the run ends with their fault."""
     file = tmp_path / "stalled.mcap"
-    args = ["run", "--config", "hil", "--stop-after", "20", "--out", tmp_path / "out", "--record", file]
-    process = subprocess.Popen([PB3DP, *map(str, args)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    time.sleep(5)
+    process = tracking_run(tmp_path, file)
     process.send_signal(signal.SIGSTOP)
     time.sleep(0.4)
     process.send_signal(signal.SIGCONT)

@@ -83,8 +83,8 @@ def test_the_estimates_are_the_poses_of_the_recording(run, tables):
     of_table = table[["qx", "qy", "qz", "qw"]].to_numpy()
     signs = numpy.sign((of_messages * of_table).sum(axis=1, keepdims=True))
     assert numpy.allclose(of_messages, signs * of_table, rtol=0, atol=1e-7)
-    # The table has the covariance along the axes of the model in mm and rad, the message along those of the camera in m and rad.
-    names = [f"c{row}{column}" for row in range(1, 7) for column in range(1, 7)]
+    # The table has the covariance of the pose along the axes of the model in mm and rad, the message along those of the camera in m and rad.
+    names = [f"p{row}{column}" for row in range(1, 7) for column in range(1, 7)]
     units = numpy.diag([1e-3] * 3 + [1.0] * 3)
     for message, quaternion, cells in zip(messages, of_table, table[names].to_numpy()):
         turned = numpy.kron(numpy.eye(2), rotation(quaternion)) @ units
