@@ -13,6 +13,7 @@ use pb3dp_geometry::StereoRig;
 
 use super::cold_start::{COPY_SCORE_MIN, ColdStart, ColdStartConfig};
 use super::colour_planes::Wanted;
+use super::compression::{RowPair, is_of_blocks};
 use super::directions::tell;
 use super::disparity_plane::{DisparityPlane, DisparityRange, inverse_depth_from_disparity};
 use super::final_plane::final_plane;
@@ -25,8 +26,8 @@ pub use super::surface_plane::SurfacePlane;
 use super::surface_plane::surface_plane;
 use super::tilt_limits::TiltLimits;
 use super::verdict::{
-    DirectVerdictConfig, SAME_IMAGE, Searched, Steeper, is_no_plane, judge, lies_beyond, may_be_unseen, nothing_found,
-    same_elsewhere, similar_second,
+    DirectVerdictConfig, ONLY_BLOCKS, SAME_IMAGE, Searched, Steeper, is_no_plane, judge, lies_beyond, may_be_unseen,
+    nothing_found, same_elsewhere, similar_second,
 };
 use crate::outcome::{ColdStartOutcome, Rival, UnlimitedPlane};
 use pb3dp_estimation_core::rig_errors::RigErrors;
@@ -67,6 +68,7 @@ pub struct DirectEstimator {
     outcome: Option<ColdStartOutcome>,
     mask: RegionMask,
     rectified: RegionMask,
+    rows: RowPair,
 }
 
 impl DirectEstimator {
@@ -87,7 +89,8 @@ impl DirectEstimator {
         let front_end = StereoFrontEnd::new(rig, kernels)?;
         let cold_start = ColdStart::new(config.cold_start.clone(), kernels);
         let mask = RegionMask::empty(rig.left().size());
-        Ok(Self { front_end, config, cold_start, errors: None, outcome: None, mask, rectified: RegionMask::default() })
+        let (rectified, rows) = Default::default();
+        Ok(Self { front_end, config, cold_start, errors: None, outcome: None, mask, rectified, rows })
     }
 
     /// The parameters.
@@ -185,6 +188,9 @@ impl DirectEstimator {
         let warnings = of_region.collect();
         if is_same_image(left, right) {
             return Ok(PlaneEstimate { reason: SAME_IMAGE.to_owned(), warnings, ..self.blank(centroid_px) });
+        }
+        if is_of_blocks(left, &self.mask, &mut self.rows) {
+            return Ok(PlaneEstimate { reason: ONLY_BLOCKS.to_owned(), warnings, ..self.blank(centroid_px) });
         }
         let view = self.view(&centroid_px)?;
         let mut rectified = std::mem::take(&mut self.rectified);

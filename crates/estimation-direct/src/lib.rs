@@ -10,6 +10,7 @@
 mod beyond;
 pub mod cold_start;
 pub mod colour_planes;
+mod compression;
 mod copies;
 pub mod cramer_rao;
 mod directions;

@@ -122,6 +122,10 @@ pub(super) fn may_be_unseen(z_m: f64, correlation: f64, limit: f64) -> String {
 pub(super) const SAME_IMAGE: &str =
     "left and right are the same image and give no depth: check the file names or the cameras";
 
+/// Reason if the region shows little else than borders of blocks.
+pub(super) const ONLY_BLOCKS: &str = "the region shows hardly more than the blocks of the image's compression, which stay in place whatever the \
+     target does: compress less, or mark a part with more contrast";
+
 /// Cause of a low support, and remedy.
 fn cause(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVerdictConfig) -> String {
     let range = &searched.range;

@@ -85,6 +85,8 @@ pub(super) enum StartLevel {
     Resembling,
     /// The coarsest level.
     Coarsest,
+    /// The second finest level: the alignment stays where it starts, or fails.
+    Fine,
 }
 
 /// How an alignment proceeds.
@@ -161,6 +163,7 @@ impl Aligner {
         let mut steps = 0;
         let (first, mut is_fresh) = match start {
             StartLevel::Coarsest => (*levels.end(), false),
+            StartLevel::Fine => (*levels.start() + 1, false),
             StartLevel::Resembling => self.first_level(problem, estimate, levels.clone()),
         };
         let levels = *levels.start()..=first;

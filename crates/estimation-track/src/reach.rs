@@ -62,6 +62,16 @@ impl Sighting<'_> {
         self.is_near() || self.is_clear()
     }
 
+    /// Whether a target can have moved there from one frame to the next: not faster than anything moves, and where another one looks the
+    /// same, not away from where it is expected. `step_s`: time between the frames, seconds; `None` if it is not known.
+    pub(super) fn is_within_step(&self, step_s: Option<f64>) -> bool {
+        let is_slow = step_s.is_none_or(|step_s| {
+            self.way_m <= self.near_m.max(SPEED_MAX_PER_S * step_s * self.distance_m)
+                && self.turn_rad <= NEAR_RAD.max(SPEED_MAX_RAD_PER_S * step_s)
+        });
+        is_slow && (self.is_near() || !self.has_twin)
+    }
+
     /// Whether the target can have moved there since it was last found. Far from the predicted pose, the match must also be
     /// clear: noise is no excuse for a poor correlation there, and a target with little distinctive texture is not recognised
     /// there.
@@ -169,6 +179,20 @@ mod tests {
         assert!(!can_be(&clear, 300.0, 0.2, 0.1, 0.033));
         assert!(!can_be(&clear, 300.0, 0.1, 1.0, 0.033));
         assert!(can_be(&clear, 300.0, 0.2, 1.0, 0.3), "with time it may have come there");
+    }
+
+    #[test]
+    fn nothing_jumps_between_two_frames() {
+        let clear = fit(0.97, 0.95);
+        let within = |way_m, turn_rad, step_s| sighting(&clear, way_m, turn_rad, 0.0).is_within_step(step_s);
+        let frame = Some(1.0 / 30.0);
+        assert!(within(0.06, 0.05, frame) && !within(0.12, 0.05, frame), "2 m/s at half a metre");
+        assert!(within(0.01, 0.15, frame) && !within(0.01, 0.3, frame), "344 degrees per second");
+        assert!(within(0.12, 0.3, Some(0.1)), "few frames per second");
+        assert!(within(0.12, 0.3, None), "without times nothing is known");
+        let beside_a_twin =
+            |way_m| Sighting { has_twin: true, ..sighting(&clear, way_m, 0.05, 0.0) }.is_within_step(frame);
+        assert!(beside_a_twin(0.01) && !beside_a_twin(0.06));
     }
 
     #[test]

@@ -1,8 +1,10 @@
 //! One target: its surface, its stored views, and its state.
 
+mod ending;
 mod exposures;
 mod lost;
 mod periodic;
+mod twins;
 
 use nalgebra::{Isometry3, Matrix3, Matrix6, Matrix6x3, Point3, Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
@@ -17,7 +19,7 @@ use super::config::DirectTrackerConfig;
 use super::distinct::independent_points;
 use super::export::surface_point;
 use super::images::{CameraImages, LEVELS};
-use super::judge::{Fit, Limits, Misfit};
+use super::judge::{Fit, Limits};
 use super::kernels::{CHANNELS, ROW, TERMS};
 use super::normal::{Free, NormalEquations};
 use super::one_surface::{Pair, Part, has_relief, is_curved, largest_part};
@@ -28,6 +30,7 @@ use super::shape::Shares;
 use super::stereo_relief;
 use super::surface::{Surface, model_frame};
 use super::view::View;
+pub(super) use ending::Ending;
 use pb3dp_estimation_core::method::{FramePrior, SurfacePoint};
 use periodic::Periodic;
 
@@ -104,8 +107,12 @@ pub(super) struct Target {
     reference: [[f32; CHANNELS]; TERMS],
     /// Number of independent points of the texture.
     independent_points: f64,
-    /// Whether the first pair contains a similar object.
-    has_twin: bool,
+    /// Whether a similar object was seen beside the target.
+    pub(super) has_twin: bool,
+    /// Hypotheses of a look for similar objects that were not tried yet.
+    looks_open: usize,
+    /// Whether the target was found where it was not expected, and no later frame has confirmed it.
+    pub(super) is_unverified: bool,
     /// Periods of the texture; `None` if it does not repeat.
     periodic: Option<Box<Periodic>>,
     /// Whether the frame `model` is on the plane of the visible surface, whose covariance is in that of the first pose.
@@ -130,23 +137,6 @@ fn frame_by_plane(plane: &Vector3<f64>, cam_left_from_model: &Pose<CamLeft, Mode
     by_plane.row_mut(3).copy_from(&-across.row(1));
     by_plane.row_mut(4).copy_from(&across.row(0));
     by_plane
-}
-
-/// Result of a frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Ending {
-    /// The pose was found and fits.
-    Found,
-    /// The alignment does not fit.
-    Misfit(Misfit),
-    /// Too little of the predicted target is inside the images.
-    OutOfSight,
-    /// The predicted target is inside the images, but nothing matches it.
-    NothingAlike,
-    /// A camera (0 left, 1 right) repeats its last image.
-    Stuck(usize),
-    /// A candidate is too far from the prediction, or matches too poorly at this distance, or is not unique.
-    OutOfReach,
 }
 
 impl Target {
@@ -186,6 +176,8 @@ impl Target {
             reference: [[0.0; CHANNELS]; TERMS],
             independent_points: 0.0,
             has_twin: false,
+            looks_open: 0,
+            is_unverified: false,
             periodic: None,
             is_on_surface: false,
             first_pose_covariance: None,
@@ -297,10 +289,11 @@ impl Target {
         lanes.collect()
     }
 
-    /// Aligns from a predicted pose, and evaluates the fit.
+    /// Aligns from a predicted pose, and evaluates the fit. `step_s`: time since the last frame, seconds.
     pub(super) fn follow(
         &mut self,
         expected: &Expected,
+        step_s: Option<f64>,
         frame: &Frame<'_>,
         may_continue: &mut dyn FnMut() -> bool,
     ) -> Ending {
@@ -311,11 +304,13 @@ impl Target {
             found = self.or_better(found, predicted, StartLevel::Coarsest, frame, may_continue);
         }
         let found = self.or_mirrored(found, frame, may_continue);
+        let found = self.or_still_there(found, predicted, frame, may_continue);
         let Some(equations) = found else { return Ending::OutOfSight };
         if let Some(misfit) = self.fit.misfit(&self.limits(frame.config)) {
             return Ending::Misfit(misfit);
         }
-        if !self.fits_well() && !self.sighting(predicted).can_have_moved() {
+        let sighting = self.sighting(predicted);
+        if !sighting.is_within_step(step_s) || !self.fits_well() && !sighting.can_have_moved() {
             return Ending::OutOfReach;
         }
         let equations = self.settle(equations, predicted, 0.0, frame, may_continue);
@@ -491,13 +486,16 @@ impl Target {
             self.motion.restart(&pose);
         } else {
             self.motion.learn(&pose, prior);
+            self.is_unverified = false;
         }
         (self.lost_frames, self.away_s) = (0, 0.0);
         self.views[self.view].last_used = self.frame;
-        let is_good = self.fits_well() && !self.in_doubt() && !self.is_overexposed();
-        if is_good && self.nearest_view(&pose, frame.config).1 > 1.0 {
+        let is_good = self.fits_well() && !self.in_doubt() && !self.is_unverified && !self.is_overexposed();
+        let is_new = is_good && self.nearest_view(&pose, frame.config).1 > 1.0;
+        if is_new {
             self.keep_view(frame, true);
         }
+        self.plan_look(is_new);
     }
 
     /// Whether so much of the left image is saturated that a view of it would lack many points.

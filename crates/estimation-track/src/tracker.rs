@@ -1,6 +1,7 @@
 //! The direct tracker: public interface, frame by frame.
 
 mod certainty;
+mod looking;
 
 use std::fmt::Write;
 
@@ -246,7 +247,7 @@ impl DirectTracker {
         {
             target.settle_on_surface(&self.frame(), &plane);
         }
-        self.load_whole(left, right);
+        self.load_both(left, right);
         let frame = self.frame();
         target.find_periods(&frame, &pixels[0]);
         target.look_for_twins(&frame);
@@ -365,6 +366,7 @@ impl DirectTracker {
             target.motion.coast(prior);
             return Ending::Stuck(side);
         }
+        let step_s = prior.dt_s.filter(|dt| *dt > 0.0 && dt.is_finite());
         let mut expected = target.motion.expect(prior);
         let motion = target.motion.between_exposures(&expected, prior);
         self.rig_at_rest = self.rig.with_motion_between_exposures(&motion);
@@ -384,7 +386,7 @@ impl DirectTracker {
                 self.rig_at_rest = self.rig.with_motion_between_exposures(&seen);
             }
             let frame = self.frame();
-            ending = target.follow(&expected, &frame, may_continue);
+            ending = target.follow(&expected, step_s, &frame, may_continue);
             if ending != Ending::Found {
                 target.estimate = before;
             }
@@ -393,11 +395,9 @@ impl DirectTracker {
             target.lost_frames = target.lost_frames.saturating_add(1);
             target.away_s += passed_s(prior);
             if may_continue() {
-                self.load_whole(left, right);
-                let frame = self.frame();
-                let again = target.search(&expected, &frame, may_continue);
+                let again = self.search(target, (&expected, step_s), (left, right), may_continue);
                 // The misfit at the predicted pose is more informative than a failed search elsewhere.
-                if again == Ending::Found || ending == Ending::OutOfSight {
+                if matches!(again, Ending::Found | Ending::OneOfSeveral) || ending == Ending::OutOfSight {
                     ending = again;
                 }
             }
@@ -406,6 +406,9 @@ impl DirectTracker {
             target.add_error_of_motion(prior, &self.rig, unforeseen.as_ref());
             target.add_shear_of_readout(1e-3 * self.config.rolling_shutter_millis, prior, &self.rig);
             target.accept(&self.frame(), prior);
+            if target.looks_around() && may_continue() {
+                self.look_around(target, (left, right), may_continue);
+            }
         } else {
             target.motion.coast(prior);
         }
@@ -427,12 +430,15 @@ impl DirectTracker {
         }
     }
 
-    /// Converts whole images.
-    fn load_whole(&mut self, left: ImageView<'_>, right: ImageView<'_>) {
-        for (images, image) in self.images.iter_mut().zip([left, right]) {
-            let (width, height) = (image.width() as usize, image.height() as usize);
-            images.update(image, PixelWindow { x: 0, y: 0, width, height }, self.kernels);
-        }
+    /// Converts a whole image.
+    fn load_whole(&mut self, side: usize, image: ImageView<'_>) {
+        let (width, height) = (image.width() as usize, image.height() as usize);
+        self.images[side].update(image, PixelWindow { x: 0, y: 0, width, height }, self.kernels);
+    }
+
+    fn load_both(&mut self, left: ImageView<'_>, right: ImageView<'_>) {
+        self.load_whole(0, left);
+        self.load_whole(1, right);
     }
 
     /// Converts the windows around the predicted target.
@@ -470,31 +476,8 @@ impl DirectTracker {
         (out.cam_left_from_model, out.covariance, out.first_pose_covariance) = (None, None, None);
         let Some(target) = &self.target else { return };
         // Writing into a string cannot fail.
-        let _ = match ending {
-            Ending::Misfit(misfit) => write!(out.reason, "{misfit}"),
-            Ending::Stuck(side) => {
-                let (stuck, other) = if side == 0 { ("left", "right") } else { ("right", "left") };
-                write!(
-                    out.reason,
-                    "the {stuck} image has not changed while the {other} image has: check the {stuck} camera"
-                )
-            }
-            Ending::OutOfSight => {
-                write!(out.reason, "the predicted target is outside the image of at least one camera")
-            }
-            Ending::NothingAlike => write!(
-                out.reason,
-                "target not found, neither at the predicted pose nor elsewhere: it is occluded or its appearance has changed"
-            ),
-            Ending::OutOfReach => {
-                write!(
-                    out.reason,
-                    "a candidate was found, but it is too far from the predicted pose, matches too poorly there, or is not unique"
-                )
-            }
-            Ending::Found => Ok(()),
-        };
-        out.status = Status::Lost;
+        let _ = write!(out.reason, "{ending}");
+        out.status = if ending == Ending::OneOfSeveral { Status::Ambiguous } else { Status::Lost };
         if ending == Ending::Found {
             let pose = target.estimate.cam_left_from_model;
             out.cam_left_from_model = Some(pose);
@@ -510,10 +493,15 @@ impl DirectTracker {
                     1e3 * period_m
                 );
             }
+            if target.is_unverified {
+                out.reason.push_str(
+                    "found again where it was not expected: the next pair has to confirm it; except for that, ",
+                );
+            }
             (out.status, out.observed) =
                 self.judge_covariance(target.covariance.as_ref(), pose.translation_m().norm(), &mut out.reason);
             out.rotation_about_normal_observed = out.observed.is_none_or(|observed| observed[5]);
-            if doubt_m.is_some() {
+            if doubt_m.is_some() || target.is_unverified {
                 out.status = Status::Ambiguous;
             }
             let project = |point: &Point3<f64>| self.rig.left().project(&pose.transform_point(point));

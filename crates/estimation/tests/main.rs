@@ -16,6 +16,7 @@ mod direct_track_no_allocation;
 mod direct_track_priors;
 mod direct_track_skew;
 mod image_forms;
+mod look_alikes;
 #[path = "support/moving_plane.rs"]
 mod moving_plane;
 mod no_allocation;

@@ -78,7 +78,8 @@ fn track(target: &Repeating, positions: &[Vector2<f64>]) -> Counts {
             counts.wrong += u32::from(is_ok && is_off);
             counts.ambiguous += u32::from(estimate.status == Status::Ambiguous);
             // The doubt comes before what is well determined.
-            let is_doubt_first = estimate.reason.starts_with("the texture repeats every");
+            let doubts = ["the texture repeats every", "found again where it was not expected"];
+            let is_doubt_first = doubts.iter().any(|doubt| estimate.reason.starts_with(doubt));
             assert_eq!(estimate.status == Status::Ambiguous, is_doubt_first, "{}", estimate.reason);
         }
     }

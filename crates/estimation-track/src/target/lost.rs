@@ -3,7 +3,7 @@
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Model};
 
-use super::{Ending, FOUND_AGAIN_STRICTER, Frame, Target, VISIBLE_MIN};
+use super::{Ending, Frame, Target, VISIBLE_MIN};
 use crate::align::{AlignmentPlan, Estimate, StartLevel};
 use crate::images::LEVELS;
 use crate::judge::Fit;
@@ -29,25 +29,6 @@ const COARSE_RESEMBLANCE_MIN: f64 = 0.4;
 const CLEARLY_NEARER: f64 = 2.0;
 
 impl Target {
-    /// Searches the whole first pair for similar objects. A copy inside a texture that repeats is none: [`Self::settle`] tells copies
-    /// apart.
-    pub(crate) fn look_for_twins(&mut self, frame: &Frame<'_>) {
-        let (estimate, fit) = (self.estimate, self.fit);
-        let own = estimate.cam_left_from_model;
-        let limits = self.limits(frame.config).stricter(FOUND_AGAIN_STRICTER);
-        for index in 0..hypotheses(0) {
-            let (_, turned) = hypothesis(index, &own, &[]);
-            for place in self.places_of(0, &turned, frame).into_iter().flatten() {
-                self.estimate = estimate;
-                let fits = self.look_into(Candidate { place, with_depth: true }, frame, &mut || true).is_ok();
-                let is_another = self.sighting(&own).is_another() && !self.is_copy_of(&own);
-                self.has_twin |= fits && self.fit.misfit(&limits).is_none() && is_another;
-            }
-        }
-        self.view = 0;
-        (self.estimate, self.fit) = (estimate, fit);
-    }
-
     /// Searches for a lost target in whole images.
     pub(crate) fn search(
         &mut self,
@@ -78,8 +59,8 @@ impl Target {
                     return Ending::Found;
                 }
                 Ok(_) => {
-                    ending = Ending::OutOfReach;
                     let sighting = self.sighting(predicted);
+                    ending = if sighting.is_one_of_two() { Ending::OneOfSeveral } else { Ending::OutOfReach };
                     let Sighting { way_m, near_m, .. } = sighting;
                     let (view, estimate, fit) = (self.view, self.estimate, self.fit);
                     *alike = sighting.is_one_of_two().then_some(Alike { view, way_m, near_m, estimate, fit });
@@ -110,6 +91,7 @@ impl Target {
         may_continue: &mut dyn FnMut() -> bool,
     ) {
         let is_near = self.sighting(&expected.pose).is_near();
+        self.is_unverified |= !is_near;
         let equations = self.settle(equations, &expected.pose, lost_frames, frame, may_continue);
         self.conclude(&equations, false);
         if is_near {
@@ -118,7 +100,7 @@ impl Target {
     }
 
     /// Aligns at a candidate position, and evaluates the fit.
-    fn look_into(
+    pub(super) fn look_into(
         &mut self,
         Candidate { place, with_depth }: Candidate,
         frame: &Frame<'_>,
@@ -185,7 +167,12 @@ impl Target {
     }
 
     /// Positions in the left image that look like a view of the target from this pose.
-    fn places_of(&mut self, view: usize, pose: &Pose<CamLeft, Model>, frame: &Frame<'_>) -> [Option<Place>; PLACES] {
+    pub(super) fn places_of(
+        &mut self,
+        view: usize,
+        pose: &Pose<CamLeft, Model>,
+        frame: &Frame<'_>,
+    ) -> [Option<Place>; PLACES] {
         self.searcher.places(&self.surface, &self.views[view], pose, &frame.images[0], frame.rig.left())
     }
 }
@@ -211,12 +198,12 @@ fn nearest_of_several(alike: &[Option<Alike>]) -> Option<Alike> {
     is_clear.then_some(*nearest)
 }
 
-/// A position at which a lost target may be.
+/// A position at which a target may be.
 #[derive(Clone, Copy)]
-struct Candidate {
-    place: Place,
+pub(super) struct Candidate {
+    pub(super) place: Place,
     /// Whether its depth is searched first.
-    with_depth: bool,
+    pub(super) with_depth: bool,
 }
 
 /// Inserts a position into the sorted list after the prediction; a position next to a better one is dropped.
