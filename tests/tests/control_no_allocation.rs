@@ -35,7 +35,7 @@ fn control_steps_of_both_arms_do_not_allocate() {
             cam_left_from_model: cam_left_from_target.relabel(),
             trusted: true,
             covariance: Some(Matrix6::from_diagonal_element(1e-8)),
-            rotation_about_normal_observed: true,
+            observed: [true; 6],
         };
         let percept = Percept {
             frame: FrameInput { sequence: step as u64, at: now, skew_s: 0.0 },

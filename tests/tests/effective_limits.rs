@@ -142,7 +142,7 @@ fn share_of_the_controller(setup: &Setup, scale: f64) -> f64 {
             cam_left_from_model: far,
             trusted: true,
             covariance: None,
-            rotation_about_normal_observed: true,
+            observed: [true; 6],
         };
         if let Command::Velocity(velocity) = controller.step(&joints, Some(&seen), clock.now()).command {
             share = share.max(velocity.component_div(&allowed(scale)).amax());

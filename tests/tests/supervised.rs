@@ -90,7 +90,7 @@ impl<'a> Bench<'a> {
                 cam_left_from_model: cam_left_from_target.relabel(),
                 trusted: true,
                 covariance: None,
-                rotation_about_normal_observed: true,
+                observed: [true; 6],
             };
             let percept = Percept {
                 frame: FrameInput { sequence: self.steps, at: now, skew_s: 0.0 },

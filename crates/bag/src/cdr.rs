@@ -242,17 +242,17 @@ impl<T: CdrValue> CdrValue for Vec<T> {
     }
 }
 
-/// Numbers at the end of a message that older versions did not write: empty then.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Later(pub Vec<f64>);
+/// A list at the end of a message that older versions did not write: empty then.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Later<T>(pub Vec<T>);
 
-impl CdrValue for Later {
+impl<T: CdrValue> CdrValue for Later<T> {
     fn ros_type() -> String {
-        Vec::<f64>::ros_type()
+        Vec::<T>::ros_type()
     }
 
     fn define(definitions: &mut Vec<(&'static str, String)>) {
-        Vec::<f64>::define(definitions);
+        Vec::<T>::define(definitions);
     }
 
     fn write(&self, writer: &mut CdrWriter) {
@@ -260,7 +260,7 @@ impl CdrValue for Later {
     }
 
     fn read(reader: &mut CdrReader<'_>) -> Result<Self, CdrError> {
-        if reader.at >= reader.body.len() { Ok(Self::default()) } else { Vec::read(reader).map(Self) }
+        if reader.at >= reader.body.len() { Ok(Self(Vec::new())) } else { Vec::read(reader).map(Self) }
     }
 }
 
@@ -344,7 +344,7 @@ mod tests {
 
     #[test]
     fn numbers_that_an_older_version_did_not_write_are_empty() {
-        struct Longer(f64, Later, Later);
+        struct Longer(f64, Later<f64>, Later<f64>);
         impl CdrValue for Longer {
             fn ros_type() -> String {
                 "test_msgs/Longer".to_owned()

@@ -152,6 +152,8 @@ message! {
         covariance: Vec<f64>,
         /// Whether the rotation about the normal is measured.
         rotation_about_normal_observed: bool,
+        /// Whether each direction is: shifts along x, y, z of the model, and turns about them.
+        observed: Later<bool>,
     }
 }
 
@@ -270,8 +272,8 @@ message! {
         /// Age of the estimate when it reached the control, milliseconds.
         age_millis: f64,
         /// Covariance of the first pose against the visible surface.
-        first_pose_covariance: Later,
+        first_pose_covariance: Later<f64>,
         /// Covariance of the pose, that of the first one included.
-        pose_covariance: Later,
+        pose_covariance: Later<f64>,
     }
 }

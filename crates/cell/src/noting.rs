@@ -224,7 +224,7 @@ impl PairEstimate {
             cam_left_from_model,
             trusted: self.estimate.status.depth_is_sure(),
             covariance: self.estimate.covariance,
-            rotation_about_normal_observed: self.estimate.rotation_about_normal_observed,
+            observed: self.estimate.observed_directions(),
         })
     }
 }

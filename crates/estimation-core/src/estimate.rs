@@ -318,6 +318,12 @@ pub struct TrackEstimate {
 }
 
 impl TrackEstimate {
+    /// Whether each direction is measured; a method that does not tell measures all but perhaps the rotation about the normal.
+    pub fn observed_directions(&self) -> [bool; 6] {
+        let [x, y, z, about_x, about_y, about_z] = self.observed.unwrap_or([true; 6]);
+        [x, y, z, about_x, about_y, about_z && self.rotation_about_normal_observed]
+    }
+
     /// A result without a pose.
     pub fn without_pose(status: Status, reason: String) -> Self {
         Self {

@@ -7,7 +7,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use image::{DynamicImage, GrayImage, ImageFormat};
 use nalgebra::{Matrix6, Point3, Vector2};
-use pb3dp_bag::cdr::Bytes;
+use pb3dp_bag::cdr::{Bytes, Later};
 use pb3dp_bag::messages::LogLine;
 use pb3dp_bag::run_messages::{self, Marked, Observed, Said};
 use pb3dp_bag::stops::{of_pose, pose};
@@ -110,7 +110,8 @@ pub fn of_percept(percept: &Percept) -> Observed {
         cam_left_from_model: of_pose_if_any(seen.map(|seen| &seen.cam_left_from_model)),
         trusted: seen.is_some_and(|seen| seen.trusted),
         covariance: of_covariance(seen.and_then(|seen| seen.covariance.as_ref())),
-        rotation_about_normal_observed: seen.is_some_and(|seen| seen.rotation_about_normal_observed),
+        rotation_about_normal_observed: seen.is_some_and(|seen| seen.observed[5]),
+        observed: Later(seen.map_or_else(Vec::new, |seen| seen.observed.to_vec())),
     }
 }
 
@@ -134,7 +135,11 @@ pub fn percept(seen: &Observed) -> Result<Percept> {
                 cam_left_from_model,
                 trusted: seen.trusted,
                 covariance: covariance("observed.covariance", &seen.covariance)?,
-                rotation_about_normal_observed: seen.rotation_about_normal_observed,
+                observed: match &seen.observed.0[..] {
+                    // Versions before wrote the last one only.
+                    [] => [true, true, true, true, true, seen.rotation_about_normal_observed],
+                    six => six.try_into().context("observed.observed: a pose has six directions")?,
+                },
             })
         })
         .transpose()?;
@@ -363,7 +368,7 @@ mod tests {
                 cam_left_from_model: awkward(),
                 trusted: true,
                 covariance: Some(covariance.transpose()),
-                rotation_about_normal_observed: true,
+                observed: [true, false, true, true, false, true],
             }),
         };
         let back = percept(&of_percept(&seen)).unwrap();

@@ -15,6 +15,7 @@ use pb3dp_safeguards::{Safeguard, is_off};
 use crate::config::ControllerConfig;
 use crate::config_error::ConfigError;
 use crate::given_commands::GivenCommands;
+use crate::held_directions::HeldDirections;
 use crate::joint_history::JointHistory;
 use crate::known_target::KnownTarget;
 use crate::late_images::{DELAYS_S, LateImages};
@@ -161,6 +162,7 @@ pub struct Controller {
     history: JointHistory,
     given: GivenCommands,
     target: KnownTarget,
+    held: HeldDirections,
     late_images: LateImages,
     /// Exposure time of the newest handled observation; observations that are not newer are ignored.
     handled_at: Option<MonotonicTime>,
@@ -197,6 +199,7 @@ impl Controller {
             history,
             given: GivenCommands::new(config.joint_history_samples),
             target: KnownTarget::none(&config.law)?,
+            held: HeldDirections::default(),
             late_images: LateImages::default(),
             handled_at: None,
             stepped_at: None,
@@ -367,7 +370,9 @@ impl Controller {
         self.compare_delays(observation);
         let base_from_hand = self.chain.forward(position_rad) * self.config.flange_from_hand;
         let observed = base_from_hand * self.config.hand_from_cam_left * observation.cam_left_from_model;
-        let verdict = self.target.take(&observed, observation);
+        let predicted = self.target.base_from_model_at(observation.at);
+        let (observed, covariance) = self.held.complete(&observed, predicted.as_ref(), observation);
+        let verdict = self.target.take(&observed, &TargetObservation { covariance, ..*observation });
         self.lost &= !self.target.is_known();
         verdict
     }
@@ -409,6 +414,7 @@ impl Controller {
 
     fn forget(&mut self) {
         self.target.forget();
+        self.held = HeldDirections::default();
         self.late_images.clear();
         self.approached_at = None;
         self.pace = Pace::rest();

@@ -1,6 +1,6 @@
 //! State of the target in `base`, in the form that the configured law needs.
 
-use nalgebra::{Matrix6, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{Matrix6, Vector6};
 use pb3dp_geometry::frames::{Base, Hand, Model};
 use pb3dp_geometry::{MonotonicTime, Pose, Twist};
 
@@ -94,7 +94,7 @@ impl KnownTarget {
                 ObservationVerdict::Accepted
             }
             Self::Predicted { config, state, observations } => {
-                let measured = measurement(config, state, observed, observation);
+                let measured = measurement(config, observed, observation);
                 let mut verdict = state.observe(&measured);
                 if matches!(verdict, MeasurementVerdict::Outlier { .. }) && !is_locked {
                     // Earlier observations do not count any more.
@@ -139,26 +139,11 @@ impl KnownTarget {
 /// Measurement for the filter.
 fn measurement(
     config: &FeedForwardConfig,
-    state: &TargetState,
     observed: &Pose<Base, Model>,
     observation: &TargetObservation,
 ) -> PoseMeasurement {
-    let mut base_from_model = *observed;
-    if let (false, Ok(predicted)) = (observation.rotation_about_normal_observed, state.at(observation.at)) {
-        base_from_model = with_rotation_about_normal_of(&predicted.base_from_model, observed);
-    }
     let covariance = observation.covariance.unwrap_or_else(|| unstated(&config.unstated));
-    PoseMeasurement { at: observation.at, base_from_model, covariance }
-}
-
-/// The observed position and normal; the rotation about the normal is that of the prediction, turned by the smallest rotation.
-fn with_rotation_about_normal_of(predicted: &Pose<Base, Model>, observed: &Pose<Base, Model>) -> Pose<Base, Model> {
-    let normal = |pose: &Pose<Base, Model>| pose.transform_vector(&Vector3::z());
-    match UnitQuaternion::rotation_between(&normal(predicted), &normal(observed)) {
-        Some(turn) => Pose::from_parts(observed.translation_m(), turn * predicted.rotation()),
-        // The normal points the other way: the observation contradicts the state and is ignored.
-        None => *observed,
-    }
+    PoseMeasurement { at: observation.at, base_from_model: *observed, covariance }
 }
 
 fn unstated(sigma: &UnstatedCovariance) -> Matrix6<f64> {
@@ -186,30 +171,6 @@ fn verdict_of(verdict: MeasurementVerdict, observation: &TargetObservation) -> O
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn pose(translation: [f64; 3], rotation_vector: [f64; 3]) -> Pose<Base, Model> {
-        Pose::from_parts(translation.into(), UnitQuaternion::from_scaled_axis(Vector3::from(rotation_vector)))
-    }
-
-    #[test]
-    fn what_is_not_observed_comes_from_the_prediction() {
-        let predicted = pose([0.7, -0.1, 0.5], [0.4, -1.2, 0.3]);
-        let tilt = UnitQuaternion::from_scaled_axis(Vector3::new(0.05, -0.08, 0.0));
-        let about = UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.0, 0.6));
-        let position = Vector3::new(0.71, -0.12, 0.53);
-        let observed = Pose::from_parts(position, predicted.rotation() * tilt * about);
-        let used = with_rotation_about_normal_of(&predicted, &observed);
-        // A tilt about an axis in the plane is the smallest rotation to its normal.
-        let expected = predicted.rotation() * tilt;
-        assert!(used.rotation().angle_to(&expected) < 1e-9, "{used:?}");
-        assert_eq!(used.translation_m(), position);
-        let behind = Pose::from_parts(
-            position,
-            predicted.rotation() * UnitQuaternion::from_scaled_axis(Vector3::x() * std::f64::consts::PI),
-        );
-        let used = with_rotation_about_normal_of(&predicted, &behind);
-        assert!(used.transform_vector(&Vector3::z()).dot(&behind.transform_vector(&Vector3::z())) > 0.999, "{used:?}");
-    }
 
     #[test]
     fn what_is_not_stated_is_in_axes_of_the_model() {

@@ -15,6 +15,7 @@ pub mod config;
 pub mod config_error;
 pub mod controller;
 pub mod given_commands;
+mod held_directions;
 pub mod identification;
 pub mod joint_history;
 mod known_target;

@@ -15,15 +15,14 @@ pub struct TargetObservation {
     /// Pose of the model in the left camera. A component that the method does not observe (the rotation about the normal in the
     /// published method) stays constant.
     pub cam_left_from_model: Pose<CamLeft, Model>,
-    /// Whether the depth is confident (status `ok` or `weak-tilt`); other observations are not used. A weak tilt is noisy, not
-    /// wrong, and smoothing handles it.
+    /// Whether the depth is confident; other observations are not used.
     pub trusted: bool,
     /// Covariance of `xi = [rho; phi]` (metres, radians; axes of `model`) in `true = cam_left_from_model * exp(xi)`; `None` if the
     /// method has none.
     pub covariance: Option<Matrix6<f64>>,
-    /// Whether the estimator measures the rotation about the model's z axis. An unmeasured rotation follows the hand; used as a
-    /// measurement, it would make the hand follow itself.
-    pub rotation_about_normal_observed: bool,
+    /// Whether the images show each direction: shifts along x, y, z of `model`, and turns about them. What is not shown follows the hand or
+    /// drifts; used as a measurement, it would make the hand follow itself.
+    pub observed: [bool; 6],
 }
 
 /// What happened to the newest observation.

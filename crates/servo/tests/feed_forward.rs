@@ -238,7 +238,7 @@ fn a_rotation_that_is_not_observed_does_not_lead_the_hand() {
             let about = rotation(0.0, 0.0, turned);
             seen.cam_left_from_model =
                 Pose::from_parts(seen.cam_left_from_model.translation_m(), seen.cam_left_from_model.rotation() * about);
-            (seen.covariance, seen.rotation_about_normal_observed) = (None, false);
+            (seen.covariance, seen.observed[5]) = (None, false);
             in_flight.push_back(seen);
         }
         let now = cell.now();

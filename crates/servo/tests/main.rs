@@ -14,3 +14,4 @@ mod supervisor;
 mod supervisor_no_allocation;
 mod target_state;
 mod told;
+mod unobserved;

@@ -135,6 +135,8 @@ pub struct Cell {
     pub joints: JointState,
     pub time_s: f64,
     pub newest: Option<TargetObservation>,
+    /// Directions that the images show.
+    pub observed: [bool; 6],
     commands: VecDeque<JointVector>,
     in_flight: VecDeque<TargetObservation>,
     exposures: u64,
@@ -159,6 +161,7 @@ impl Cell {
             joints,
             time_s: 5.0,
             newest: None,
+            observed: [true; 6],
             commands: VecDeque::new(),
             in_flight: VecDeque::new(),
             exposures: 0,
@@ -181,7 +184,7 @@ impl Cell {
             cam_left_from_model: cam_from_base * *base_from_model,
             trusted: true,
             covariance: Some(sharp()),
-            rotation_about_normal_observed: true,
+            observed: self.observed,
         }
     }
 
