@@ -76,7 +76,7 @@ pub enum EstimationError {
     /// Too few pixels of a region have a match for a visible surface.
     #[error(
         "{matched_percent:.0} % of the region's pixels have a match in the right image, a surface needs {needed_percent:.0} %: check the depth \
-         range (--z-range), the calibration, and whether left and right are exchanged"
+         range (--z-range), the calibration, whether left and right are exchanged, and the texture of the region"
     )]
     NoSurface {
         /// Share of the pixels that have a match.

@@ -25,6 +25,8 @@ const UNIQUENESS: f32 = 0.1;
 /// Half of the side of the square whose median disparity a pixel gets, pixels of the level. Chosen likewise: with 3 there are 0.4 to 1.3 %
 /// less, with 2 up to 2.5 %.
 pub(super) const REACH: usize = 5;
+/// Standard deviation over the median deviation of the mean of two: normal distribution, two independent values.
+const SIGMA_OF_PAIRS: f64 = 1.4826 * std::f64::consts::SQRT_2;
 /// Standard deviation of the disparity of a smooth surface, pixels of the level, beside the scatter that the square shows: the noise of
 /// neighbours is not independent.
 const SMOOTH_SIGMA_PX: f64 = 0.2;
@@ -97,7 +99,8 @@ struct Value {
     is_measured: bool,
 }
 
-/// Median of the clear disparities around a pixel, and their scatter about it; `None` if the pixel itself has no clear one.
+/// Median of the clear disparities around a pixel, and their scatter about it; `None` if the pixel itself has no clear one. The scatter is that of
+/// the means of opposite pixels, which a slope leaves equal.
 fn around(values: &[f32], [width, height]: [usize; 2], [x, y]: [usize; 2], near: &mut Vec<f32>) -> Option<Value> {
     values[y * width + x].is_finite().then_some(())?;
     near.clear();
@@ -107,8 +110,21 @@ fn around(values: &[f32], [width, height]: [usize; 2], [x, y]: [usize; 2], near:
     }
     let middle = near.len() / 2;
     let disparity = *near.select_nth_unstable_by(middle, f32::total_cmp).1;
-    near.iter_mut().for_each(|d| *d = (*d - disparity).abs());
-    let scatter = 1.4826 * f64::from(*near.select_nth_unstable_by(middle, f32::total_cmp).1);
+    near.clear();
+    let reach = [y.min(height - 1 - y), x.min(width - 1 - x)].map(|to_border| REACH.min(to_border));
+    let half = (2 * reach[0] + 1) * (2 * reach[1] + 1) / 2;
+    near.extend((0..half).filter_map(|k| {
+        let (row, column) = (k / (2 * reach[1] + 1), k % (2 * reach[1] + 1));
+        let one = values[(y - reach[0] + row) * width + x - reach[1] + column];
+        let opposite = values[(y + reach[0] - row) * width + x + reach[1] - column];
+        let deviation = (0.5 * (one + opposite) - disparity).abs();
+        deviation.is_finite().then_some(deviation)
+    }));
+    let middle = near.len() / 2;
+    let scatter = match near.is_empty() {
+        true => f64::from(EDGE_PX),
+        false => SIGMA_OF_PAIRS * f64::from(*near.select_nth_unstable_by(middle, f32::total_cmp).1),
+    };
     Some(Value { disparity, sigma: SMOOTH_SIGMA_PX.hypot(scatter) as f32, is_measured: true })
 }
 

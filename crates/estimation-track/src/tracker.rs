@@ -216,9 +216,11 @@ impl DirectTracker {
         self.images.iter_mut().for_each(|images| images.is_grey = is_mixed);
         let mask = region.rasterize(left, &self.region_config)?;
         let inner = mask.erode(self.erosion_px(&mask));
+        // The origin is that of the region, also if only a part of it is followed.
+        let centre_ray = self.rig.left().unproject(&mask.centroid_px().unwrap_or_default())?;
         let outline_px = region.outline_px(&mask);
         let q = plane.inverse_depth_plane;
-        let Some(mut target) = self.first_target(left, right, &outline_px, &mask, &inner, q)? else {
+        let Some(mut target) = self.first_target(left, right, &outline_px, [&mask, &inner], &centre_ray, q)? else {
             let reason = "the region has too little texture to track once its border is excluded".to_owned();
             return Ok(TrackEstimate { reason, ..blank() });
         };
@@ -229,7 +231,8 @@ impl DirectTracker {
             let Some(part) = target.largest_part(round > 0) else { break };
             pixels = part.pixels(&target.surface.relief, &pixels, self.erosion_px(&pixels[0]) / 2);
             let [own, inside] = &pixels;
-            let Some(next) = self.first_target(left, right, &outline_px, own, inside, part.plane)? else {
+            let Some(next) = self.first_target(left, right, &outline_px, [own, inside], &centre_ray, part.plane)?
+            else {
                 let reason =
                     "the region contains several surfaces, each with too little texture to track: mark one of them";
                 let reason = reason.to_owned();
@@ -275,11 +278,11 @@ impl DirectTracker {
         left: ImageView<'_>,
         right: ImageView<'_>,
         outline_px: &[Vector2<f64>],
-        mask: &RegionMask,
-        inner: &RegionMask,
+        [mask, inner]: [&RegionMask; 2],
+        centre_ray: &Vector3<f64>,
         q: Vector3<f64>,
     ) -> Result<Option<Target>, EstimationError> {
-        let Some((surface, pose)) = self.first_surface(left, mask, inner, q)? else { return Ok(None) };
+        let Some((surface, pose)) = self.first_surface(left, mask, inner, centre_ray, q)? else { return Ok(None) };
         let model_from_first = pose.inverse();
         let on_plane = |px: &Vector2<f64>| {
             let ray = self.rig.left().unproject(px).ok()?;
@@ -298,9 +301,10 @@ impl DirectTracker {
         left: ImageView<'_>,
         mask: &RegionMask,
         inner: &RegionMask,
+        centre_ray: &Vector3<f64>,
         q: Vector3<f64>,
     ) -> Result<Option<FirstSurface>, EstimationError> {
-        let (Some(centroid_px), Some(bounds)) = (mask.centroid_px(), mask.bbox()) else { return Ok(None) };
+        let Some(bounds) = mask.bbox() else { return Ok(None) };
         let window = PixelWindow {
             x: bounds.x as i32,
             y: bounds.y as i32,
@@ -308,7 +312,7 @@ impl DirectTracker {
             height: bounds.height as usize,
         };
         self.images[0].update(left, window.grown(MARGIN_START_PX), self.kernels);
-        let Some(pose) = model_frame(&q, &self.rig.left().unproject(&centroid_px)?) else { return Ok(None) };
+        let Some(pose) = model_frame(&q, centre_ray) else { return Ok(None) };
         let surface = Surface::choose(
             &self.images[0],
             inner,

@@ -40,6 +40,12 @@ fn track(centre_px: [f64; 2], side_px: u32) -> (u32, u32) {
             _ => tracker.estimate(EstimateRequest::of_next(&left, &right, &prior)).expect("update"),
         };
         let Some(pose) = estimate.cam_left_from_model.map(|pose| *pose.isometry()) else { continue };
+        if first.is_none() {
+            // The origin is that of the region, also if only a part of it is followed.
+            let px = rig.left().project(&Point3::from(pose.translation.vector)).expect("in front");
+            let centroid_px = [x, y].map(|first| f64::from(first) + half - 0.5);
+            assert!((px - nalgebra::Vector2::from(centroid_px)).norm() < 0.01, "{px} instead of {centroid_px:?}");
+        }
         let first = *first.get_or_insert(pose);
         if estimate.status != Status::Ok {
             continue;

@@ -8,7 +8,7 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use nalgebra::{Matrix6, Vector2};
 use pb3dp_cell::annotation::{Annotation, annotate, polygon_px};
 use pb3dp_cell::calibration_share::of_first;
@@ -186,10 +186,12 @@ fn work(
     let visible = args.surface.as_ref().map(|_| estimator.visible_surface(&request));
     rigs.give_back(job, estimator);
     let mut estimate = estimate?;
+    let mut surface_warning = None;
     let surface = match (&args.surface, visible) {
-        (Some(file), Some(points)) => {
-            let points = points.with_context(|| format!("--surface {}: not written", file.display()))?;
-            Some(surface::write(file, &points)?)
+        (Some(file), Some(Ok(points))) => Some(surface::write(file, &points)?),
+        (Some(file), Some(Err(error))) => {
+            surface_warning = Some(format!("--surface {}: not written: {error}", file.display()));
+            None
         }
         _ => None,
     };
@@ -202,6 +204,10 @@ fn work(
     let mut line = EstimateLine::of(&job.name, method.name(), &estimate, (centroid_px, z_m), share.as_ref(), millis);
     line.surface = surface;
     line.warnings.extend(pair_warning.into_iter().chain(job.calibration_warnings.iter().cloned()));
+    if let Some(warning) = surface_warning {
+        tracing::warn!("{}: {warning}", job.name);
+        line.warnings.push(warning);
+    }
     if let Err(error) = overlays.draw(job, &estimate, &line, &config.published.region) {
         tracing::warn!("{}: no image: {error:#}", job.name);
     }
