@@ -76,9 +76,9 @@ fn the_hand_follows_along_the_other_directions() {
 
 #[test]
 fn a_velocity_ends_where_its_direction_is_no_longer_observed() {
-    for axis in 0..6 {
+    for (axis, velocity) in DRIFT.into_iter().enumerate() {
         let (mut cell, home) = arrived(feed_forward_config(feed_forward(ARM)));
-        let at = |step: i32| drifted(&home, axis, DRIFT[axis] * 0.002 * f64::from(step));
+        let at = |step: i32| drifted(&home, axis, velocity * 0.002 * f64::from(step));
         for step in 0..800 {
             cell.step(&at(step));
         }

@@ -44,7 +44,9 @@ impl Target {
         for index in 0..hypotheses(0) {
             let (_, turned) = hypothesis(index, &own, &[]);
             for place in self.places_of(0, &turned, frame).into_iter().flatten() {
-                self.examine_other(LookAlike { view: 0, place }, frame, &mut || true);
+                if self.is_apart(&place) {
+                    self.examine_other(LookAlike { view: 0, place }, frame, &mut || true);
+                }
             }
         }
     }
@@ -96,16 +98,20 @@ impl Target {
                 pose = other;
             }
             let view = if source == 0 { self.nearest_view(&own, frame.config).0 } else { source - 1 };
-            let near_m = self.sighting(&own).near_m;
-            let along = |pose: &Pose<CamLeft, Model>| pose.translation_m().normalize() * own.translation_m().norm();
-            let is_apart = |place: &Place| (along(&place.cam_left_from_model) - along(&own)).norm() > near_m;
             for (found, place) in found.iter_mut().zip(self.places_of(view, &pose, frame)) {
                 *found = place
-                    .filter(|place| place.correlation >= RESEMBLANCE_MIN && is_apart(place))
+                    .filter(|place| place.correlation >= RESEMBLANCE_MIN && self.is_apart(place))
                     .map(|place| LookAlike { view, place });
             }
             return;
         }
+    }
+
+    /// Whether a place in the left image is not that of the target.
+    fn is_apart(&self, place: &Place) -> bool {
+        let own = &self.estimate.cam_left_from_model;
+        let along = |pose: &Pose<CamLeft, Model>| pose.translation_m().normalize() * own.translation_m().norm();
+        (along(&place.cam_left_from_model) - along(own)).norm() > self.sighting(own).near_m
     }
 
     /// Compares a place in the whole pair with the target. A copy inside a texture that repeats is no twin: [`Self::settle`] tells copies apart.
@@ -122,7 +128,8 @@ impl Target {
         let fits = self.look_into(Candidate { place, with_depth: true }, frame, may_continue).is_ok();
         let is_another = self.sighting(&own).is_another() && !self.is_copy_of(&own);
         let is_whole = || in_sight(&self.outline_in_model, &place.cam_left_from_model, frame.rig) >= WHOLE_MIN;
-        let is_alike_alone = !fits && place.correlation >= RESEMBLANCE_ALONE_MIN && !is_whole();
+        let is_alike_alone =
+            !fits && self.periodic.is_none() && place.correlation >= RESEMBLANCE_ALONE_MIN && !is_whole();
         self.has_twin |= is_alike_alone || fits && self.fit.misfit(&limits).is_none() && is_another;
         (self.estimate, self.fit, self.view) = (estimate, fit, own_view);
     }
