@@ -20,6 +20,8 @@ const SIGMAS_MAX: f64 = 3.0;
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct HeldDirections {
     base_from_model: Option<Pose<Base, Model>>,
+    /// The pose when the turn about the normal was last seen. From pose to pose, noise of the tilts would add up to a turn.
+    spin_of: Option<Pose<Base, Model>>,
 }
 
 impl HeldDirections {
@@ -32,8 +34,10 @@ impl HeldDirections {
         observation: &TargetObservation,
     ) -> (Pose<Base, Model>, Option<Matrix6<f64>>) {
         let last = self.base_from_model.filter(|_| observation.observed.contains(&false));
-        let used = last.map_or(*seen, |last| keep_unseen(&last, seen, &observation.observed));
+        let spin_of = self.spin_of.filter(|_| !observation.observed[5]);
+        let used = last.map_or(*seen, |last| keep_unseen(&last, spin_of.as_ref(), seen, &observation.observed));
         self.base_from_model = Some(used);
+        self.spin_of = spin_of.or(Some(used));
         let Some((mut covariance, last)) = observation.covariance.zip(last) else {
             return (used, observation.covariance);
         };
@@ -48,17 +52,21 @@ impl HeldDirections {
     }
 }
 
-/// The pose `seen`, with place and turn of `last` along the axes of `model` that are not observed.
-fn keep_unseen(last: &Pose<Base, Model>, seen: &Pose<Base, Model>, observed: &[bool; 6]) -> Pose<Base, Model> {
+/// The pose `seen`, with place and turn of `last` along the axes of `model` that are not observed, and the turn about the normal of `spin_of`.
+fn keep_unseen(
+    last: &Pose<Base, Model>,
+    spin_of: Option<&Pose<Base, Model>>,
+    seen: &Pose<Base, Model>,
+    observed: &[bool; 6],
+) -> Pose<Base, Model> {
     let shift = last.inverse().transform_vector(&(seen.translation_m() - last.translation_m()));
     let place = last.translation_m() + last.transform_vector(&shown(shift, &observed[..3]));
     // A turn about the normal may be any: the rest of the rotation is the smallest one between the normals.
     let normal = |pose: &Pose<Base, Model>| pose.transform_vector(&Vector3::z());
-    let tilted = match UnitQuaternion::rotation_between(&normal(last), &normal(seen)) {
-        Some(turn) if !observed[5] => turn * last.rotation(),
-        // The normal points the other way: the observation contradicts what is known, and the filter ignores it.
-        _ => seen.rotation(),
-    };
+    let turned = spin_of
+        .and_then(|known| Some(UnitQuaternion::rotation_between(&normal(known), &normal(seen))? * known.rotation()));
+    // Without a turn the normal points the other way: the observation contradicts what is known, and the filter ignores it.
+    let tilted = turned.unwrap_or_else(|| seen.rotation());
     let turn = (last.rotation().inverse() * tilted).scaled_axis();
     Pose::from_parts(
         place,
@@ -132,7 +140,8 @@ mod tests {
         let position = Vector3::new(0.71, -0.12, 0.53);
         let mut observed = [true; 6];
         observed[5] = false;
-        let used = keep_unseen(&last, &Pose::from_parts(position, last.rotation() * tilt * about), &observed);
+        let used =
+            keep_unseen(&last, Some(&last), &Pose::from_parts(position, last.rotation() * tilt * about), &observed);
         // A tilt about an axis in the plane is the smallest rotation to its normal.
         assert!(used.rotation().angle_to(&(last.rotation() * tilt)) < 1e-9, "{used:?}");
         assert!((used.translation_m() - position).norm() < 1e-12);
@@ -141,7 +150,23 @@ mod tests {
             last.rotation() * UnitQuaternion::from_scaled_axis(Vector3::x() * std::f64::consts::PI),
         );
         let normal = |pose: &Pose<Base, Model>| pose.transform_vector(&Vector3::z());
-        assert!(normal(&keep_unseen(&last, &behind, &observed)).dot(&normal(&behind)) > 0.999);
+        assert!(normal(&keep_unseen(&last, Some(&last), &behind, &observed)).dot(&normal(&behind)) > 0.999);
+    }
+
+    #[test]
+    fn noise_of_the_tilts_does_not_add_up_to_a_turn_about_the_normal() {
+        let first = pose([0.7, -0.1, 0.5], [0.4, -1.2, 0.3]);
+        let (mut held, mut random) = (HeldDirections::default(), pb3dp_computing::rng::SplitMix64::new(3));
+        held.complete(&first, None, &observation([true; 6]));
+        let hidden = observation([true, true, true, true, true, false]);
+        for _ in 0..10_000 {
+            let tilt = Vector3::new(random.between(-0.1, 0.1), random.between(-0.1, 0.1), random.between(-0.5, 0.5));
+            let seen =
+                Pose::from_parts(first.translation_m(), first.rotation() * UnitQuaternion::from_scaled_axis(tilt));
+            held.complete(&seen, None, &hidden);
+        }
+        let (used, _) = held.complete(&first, None, &hidden);
+        assert!(used.rotation().angle_to(&first.rotation()) < 1e-6, "{used:?}");
     }
 
     #[test]
