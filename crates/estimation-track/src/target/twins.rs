@@ -128,8 +128,7 @@ impl Target {
         let fits = self.look_into(Candidate { place, with_depth: true }, frame, may_continue).is_ok();
         let is_another = self.sighting(&own).is_another() && !self.is_copy_of(&own);
         let is_whole = || in_sight(&self.outline_in_model, &place.cam_left_from_model, frame.rig) >= WHOLE_MIN;
-        let is_alike_alone =
-            !fits && self.periodic.is_none() && place.correlation >= RESEMBLANCE_ALONE_MIN && !is_whole();
+        let is_alike_alone = !fits && place.correlation >= RESEMBLANCE_ALONE_MIN && !is_whole();
         self.has_twin |= is_alike_alone || fits && self.fit.misfit(&limits).is_none() && is_another;
         (self.estimate, self.fit, self.view) = (estimate, fit, own_view);
     }
