@@ -373,6 +373,9 @@ impl Controller {
         let predicted = self.target.base_from_model_at(observation.at);
         let (observed, covariance) = self.held.complete(&observed, predicted.as_ref(), observation);
         let verdict = self.target.take(&observed, &TargetObservation { covariance, ..*observation });
+        if verdict == ObservationVerdict::Accepted {
+            self.held.keep(&observed, observation);
+        }
         self.lost &= !self.target.is_known();
         verdict
     }

@@ -28,7 +28,7 @@ impl HeldDirections {
     /// An observation of the pose `seen`, with the last pose along the directions that it does not show; `predicted`: what is
     /// expected at its time.
     pub(crate) fn complete(
-        &mut self,
+        &self,
         seen: &Pose<Base, Model>,
         predicted: Option<&Pose<Base, Model>>,
         observation: &TargetObservation,
@@ -36,8 +36,6 @@ impl HeldDirections {
         let last = self.base_from_model.filter(|_| observation.observed.contains(&false));
         let spin_of = self.spin_of.filter(|_| !observation.observed[5]);
         let used = last.map_or(*seen, |last| keep_unseen(&last, spin_of.as_ref(), seen, &observation.observed));
-        self.base_from_model = Some(used);
-        self.spin_of = spin_of.or(Some(used));
         let Some((mut covariance, last)) = observation.covariance.zip(last) else {
             return (used, observation.covariance);
         };
@@ -49,6 +47,12 @@ impl HeldDirections {
             covariance[(axis, axis)] = sigma.powi(2);
         }
         (used, Some(covariance))
+    }
+
+    /// Remembers a completed pose that was used. One that was refused, such as an outlier, is not what was last seen.
+    pub(crate) fn keep(&mut self, used: &Pose<Base, Model>, observation: &TargetObservation) {
+        self.base_from_model = Some(*used);
+        self.spin_of = self.spin_of.filter(|_| !observation.observed[5]).or(Some(*used));
     }
 }
 
@@ -100,13 +104,23 @@ mod tests {
         }
     }
 
+    fn used(
+        held: &mut HeldDirections,
+        seen: &Pose<Base, Model>,
+        observation: &TargetObservation,
+    ) -> (Pose<Base, Model>, Option<Matrix6<f64>>) {
+        let (pose, covariance) = held.complete(seen, None, observation);
+        held.keep(&pose, observation);
+        (pose, covariance)
+    }
+
     #[test]
     fn each_direction_that_is_not_observed_stays_and_the_others_follow() {
         let first = pose([0.7, -0.1, 0.5], [0.4, -1.2, 0.3]);
         for axis in 0..6 {
             let mut held = HeldDirections::default();
             let all = observation([true; 6]);
-            assert_eq!(held.complete(&first, None, &all), (first, all.covariance));
+            assert_eq!(used(&mut held, &first, &all), (first, all.covariance));
             let mut observed = [true; 6];
             observed[axis] = false;
             for step in 1..5 {
@@ -115,8 +129,8 @@ mod tests {
                 // Turns about several axes do not add up, so one at a time.
                 let turn = Vector3::ith(axis % 3, 0.02 * step);
                 let seen = Pose::from_parts(shift, UnitQuaternion::from_scaled_axis(turn));
-                let (used, covariance) = held.complete(&(first * seen), None, &observation(observed));
-                let moved = first.inverse() * used;
+                let (pose, covariance) = used(&mut held, &(first * seen), &observation(observed));
+                let moved = first.inverse() * pose;
                 assert!((moved.translation_m() - shown(shift, &observed[..3])).norm() < 1e-9, "{axis}: {moved:?}");
                 assert!(
                     (moved.rotation().scaled_axis() - shown(turn, &observed[3..])).norm() < 1e-9,
@@ -157,23 +171,23 @@ mod tests {
     fn noise_of_the_tilts_does_not_add_up_to_a_turn_about_the_normal() {
         let first = pose([0.7, -0.1, 0.5], [0.4, -1.2, 0.3]);
         let (mut held, mut random) = (HeldDirections::default(), pb3dp_computing::rng::SplitMix64::new(3));
-        held.complete(&first, None, &observation([true; 6]));
+        used(&mut held, &first, &observation([true; 6]));
         let hidden = observation([true, true, true, true, true, false]);
         for _ in 0..10_000 {
             let tilt = Vector3::new(random.between(-0.1, 0.1), random.between(-0.1, 0.1), random.between(-0.5, 0.5));
             let seen =
                 Pose::from_parts(first.translation_m(), first.rotation() * UnitQuaternion::from_scaled_axis(tilt));
-            held.complete(&seen, None, &hidden);
+            used(&mut held, &seen, &hidden);
         }
-        let (used, _) = held.complete(&first, None, &hidden);
-        assert!(used.rotation().angle_to(&first.rotation()) < 1e-6, "{used:?}");
+        let (pose, _) = used(&mut held, &first, &hidden);
+        assert!(pose.rotation().angle_to(&first.rotation()) < 1e-6, "{pose:?}");
     }
 
     #[test]
     fn what_is_held_is_no_outlier_where_the_target_moved_before() {
         let first = pose([0.7, -0.1, 0.5], [0.4, -1.2, 0.3]);
         let mut held = HeldDirections::default();
-        held.complete(&first, None, &observation([true; 6]));
+        used(&mut held, &first, &observation([true; 6]));
         let ahead = first * Pose::exp(&Vector6::new(0.03, 0.0, 0.0, 0.0, 0.0, 0.0));
         let hidden = [false, true, true, true, true, true];
         let (used, covariance) = held.complete(&ahead, Some(&ahead), &observation(hidden));

@@ -4,7 +4,7 @@
 use nalgebra::{Vector3, Vector6};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, Hand, Model};
-use pb3dp_servo::{ArmResponse, ControllerConfig, Mode};
+use pb3dp_servo::{ArmResponse, ControllerConfig, Mode, ObservationVerdict};
 
 use crate::common::{Cell, Plant, config, feed_forward, feed_forward_config, rotation};
 
@@ -94,5 +94,27 @@ fn a_velocity_ends_where_its_direction_is_no_longer_observed() {
         assert!(moved.translation_m().norm() < 1e-3 && moved.rotation_angle_rad() < 2e-3, "axis {axis}: {moved:?}");
         let (position_m, angle_rad) = off(&cell, &at(800));
         assert!(position_m < 0.01 && angle_rad < 0.02, "axis {axis}: {position_m} m, {angle_rad} rad after it");
+    }
+}
+
+/// An outlier is refused, and so is not where the target was last seen.
+#[test]
+fn an_outlier_before_a_direction_is_hidden_does_not_move_the_hand() {
+    for axis in 0..6 {
+        let (mut cell, home) = arrived(feed_forward_config(feed_forward(ARM)));
+        let mut refused = false;
+        let far = drifted(&home, axis, if axis < 3 { 0.05 } else { 0.2 });
+        // The time between two exposures.
+        for _ in 0..17 {
+            cell.step(&far);
+        }
+        cell.observed[axis] = false;
+        for _ in 0..1500 {
+            let step = cell.step(&home);
+            refused |= matches!(step.observation, ObservationVerdict::Outlier { .. });
+            let (position_m, angle_rad) = off(&cell, &home);
+            assert!(position_m < 1e-3 && angle_rad < 2e-3, "axis {axis}: {position_m} m, {angle_rad} rad");
+        }
+        assert!(refused, "axis {axis}");
     }
 }
