@@ -143,6 +143,8 @@ class Page:
             page.wait_for_selector("#token .refused", state="visible")
             self.give_token(panel.token)
         wait_for(lambda: "pair" in self.text("#images"), "no state reached the page")
+        # Who points at an image has seen one.
+        page.wait_for_selector("#left[data-shown]")
 
     def own_asset(self, route):
         path = urllib.parse.urlsplit(route.request.url).path.lstrip("/") or "index.html"
@@ -178,7 +180,9 @@ class Page:
         self.page.mouse.up()
 
     def preview(self):
-        self.page.wait_for_selector("#preview:not(.computing)", state="visible")
+        shown = self.page.locator("#preview:not(.computing)")
+        wait_for(lambda: shown.is_visible() or self.text("#answer").startswith("preview"))
+        assert shown.is_visible(), self.text("#answer")
         return self.text("#preview-title")
 
     def select(self, name, begin=(345, 200), end=(435, 280)):

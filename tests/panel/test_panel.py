@@ -315,14 +315,14 @@ def test_a_region_is_marked_with_keys_on_the_pair_that_was_shown(panel, page):
     assert "will work" in page.preview()
     assert sent[-1].post_data_json["region"] == "rect:290,210,70,70"
     assert sent[-1].post_data_json["sequence"] == sent[0].post_data_json["sequence"], "the pair was frozen"
-    page.drag((360, 280), (370, 285))
-    page.page.wait_for_timeout(500)
-    assert sent[-1].post_data_json["region"] == "rect:290,210,80,75", "a corner was dragged"
+    # A corner is dragged.
+    with page.page.expect_request(lambda request: request.post_data_json == sent[-1].post_data_json | {"region": "rect:290,210,80,75"}):
+        page.drag((360, 280), (370, 285))
     page.page.focus("#left")
     page.page.keyboard.press("Escape")
     page.page.wait_for_selector("#preview", state="hidden")
     page.page.check("#rectified")
-    page.page.wait_for_timeout(1000)
+    page.page.wait_for_selector("#left[data-shown=rectified]")
     page.drag((290, 210), (360, 280))
     assert not page.page.is_checked("#rectified"), "regions are marked in raw images"
 

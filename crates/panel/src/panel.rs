@@ -21,6 +21,8 @@ use crate::{image_check, images, preview, reporting};
 /// Niceness of all threads but the one that answers clients: a thread that wakes up with the usual niceness is preferred.
 /// Chosen by hand, not varied.
 const BEHIND_CONTROL: i32 = 10;
+/// Niceness of previews, for which somebody waits: on a busy computer three to four times the share of the others. Chosen by hand, not varied.
+const PREVIEWS: i32 = 4;
 
 /// A running panel; dropping it ends its threads.
 pub struct Panel {
@@ -45,19 +47,24 @@ impl Panel {
         let (give_steps, steps) = latest();
         let hub = Arc::new(Hub::new((config, about), clock, Arc::clone(&link), Arc::clone(&watched)));
         let mut panel = Self { server: Some(Server::start(&hub)?), hub, threads: Vec::new() };
-        panel.spawn("panel-state", move |hub| reporting::run(hub, reporting_ends, steps))?;
-        panel.spawn("panel-images", |hub| images::run(hub))?;
-        panel.spawn("panel-preview", |hub| preview::run(hub))?;
-        panel.spawn("panel-check", |hub| image_check::run(hub))?;
+        panel.spawn("panel-state", BEHIND_CONTROL, move |hub| reporting::run(hub, reporting_ends, steps))?;
+        panel.spawn("panel-images", BEHIND_CONTROL, |hub| images::run(hub))?;
+        panel.spawn("panel-preview", PREVIEWS, |hub| preview::run(hub))?;
+        panel.spawn("panel-check", BEHIND_CONTROL, |hub| image_check::run(hub))?;
         Ok((panel, PanelOperator::new(link, control_ends), PanelSpectator::new(watched, give_steps)))
     }
 
-    fn spawn(&mut self, name: &str, work: impl FnOnce(&Arc<Hub>) + Send + 'static) -> Result<(), Refusal> {
+    fn spawn(
+        &mut self,
+        name: &str,
+        niceness: i32,
+        work: impl FnOnce(&Arc<Hub>) + Send + 'static,
+    ) -> Result<(), Refusal> {
         let hub = Arc::clone(&self.hub);
         let thread = Builder::new().name(name.to_owned()).spawn(move || {
             // Encoding an image takes milliseconds, which a control thread must not wait for. On Linux this concerns the calling thread
             // alone; where it is refused, the panel works all the same.
-            let _ = rustix::process::setpriority_process(None, BEHIND_CONTROL);
+            let _ = rustix::process::setpriority_process(None, niceness);
             work(&hub);
         });
         self.threads.push(thread.map_err(|error| Refusal::Thread { cause: error.to_string() })?);

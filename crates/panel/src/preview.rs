@@ -1,6 +1,6 @@
 //! Previews: what a region would give as a target, before it is selected. One at a time; the newest request wins.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use nalgebra::{Matrix6, Vector2};
 use pb3dp_estimation::estimator::{EstimateRequest, Method, SurfacePoint, Tracker};
@@ -8,6 +8,7 @@ use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::region::{Region, RegionConfig};
 use pb3dp_estimation_core::status::Status;
 use pb3dp_hal_api::FramePair;
+use pb3dp_hal_platform::cpu_time::{timed, within};
 
 use crate::about::About;
 use crate::drawing::{axes, outline_right};
@@ -18,8 +19,8 @@ use crate::refusal::Refusal;
 
 /// Time between two checks whether the panel ends.
 const LOOK: Duration = Duration::from_millis(50);
-/// Computing time of one preview; while somebody drags, a late one is worth nothing.
-const TIME_MAX: Duration = Duration::from_millis(400);
+/// Processor time of one preview, milliseconds: on a busy computer a preview comes later, and is as good.
+const TIME_MAX_MILLIS: f64 = 400.0;
 
 /// Standard deviations up to which a first pose needs no advice: of a tilt, and of the depth relative to it.
 const TILT_SIGMA_CERTAIN_RAD: f64 = 0.004;
@@ -35,8 +36,9 @@ pub fn run(hub: &Hub) {
         if answer.is_closed() {
             continue;
         }
+        let (result, ms) = timed(|| preview(&hub.about, &mut tracker, &region, &pair));
         // Who asked may be gone.
-        let _ = answer.send(preview(&hub.about, &mut tracker, &region, &pair));
+        let _ = answer.send(result.map(|preview| Preview { ms, ..preview }));
     }
 }
 
@@ -46,7 +48,6 @@ fn preview(
     region: &Region,
     pair: &FramePair,
 ) -> Result<Preview, Refusal> {
-    let started = Instant::now();
     let unusable = |error: &dyn std::error::Error| Refusal::Region { why: in_words(error) };
     let mut result = Preview {
         will_work: false,
@@ -78,7 +79,7 @@ fn preview(
             tracker.insert(new.with_calibration(about.calibration_term.clone()))
         }
     };
-    let mut may_continue = || started.elapsed() < TIME_MAX;
+    let mut may_continue = within(Some(TIME_MAX_MILLIS));
     let request = EstimateRequest::of_target(&pair.left, &pair.right, region, &about.range).until(&mut may_continue);
     match tracker.estimate(request) {
         Ok(estimate) => {
@@ -92,7 +93,6 @@ fn preview(
         }
         Err(error) => result.why = in_words(&error),
     }
-    result.ms = started.elapsed().as_secs_f64() * 1e3;
     Ok(result)
 }
 

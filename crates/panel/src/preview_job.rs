@@ -32,7 +32,7 @@ pub struct Preview {
     pub sigma_mm: Option<Triple>,
     /// Expected standard deviation of the orientation.
     pub sigma_deg: Option<Triple>,
-    /// Computing time.
+    /// Processor time of the preview.
     pub ms: f64,
     /// The pair.
     pub sequence: u64,

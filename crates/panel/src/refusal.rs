@@ -194,6 +194,14 @@ pub enum Refusal {
         /// The limit, milliseconds.
         limit_ms: u64,
     },
+    /// A preview that was not computed in time.
+    #[error(
+        "preview: not computed within {limit_ms} ms: this computer is too busy; mark the region again, or close other programs"
+    )]
+    PreviewLate {
+        /// The limit, milliseconds.
+        limit_ms: u64,
+    },
     /// A later `stop` or `hold` overtook the command, or the program was suspended.
     #[error("{command} refused: {why}; check the state, then repeat it")]
     Overtaken {
@@ -327,6 +335,7 @@ codes! {
         Control = "PB3DP-PAN-041": "The camera does not have this control, does not accept or keep the value, or does not answer."; "Use a control and a value from the list; if the camera does not answer, check plug and cable.";
         MayMove = "PB3DP-PAN-042": "An arm moves, or may begin to by itself: another exposure or focus could cost the target."; "Use `hold`, then change the control.";
         OutOfOrder = "PB3DP-PAN-044": "The command was given before another one that arrived first."; "Check speed and offset, then repeat the command if you still want it.";
+        PreviewLate = "PB3DP-PAN-045": "A preview was not computed in time: the computer is too busy."; "Mark the region again, or close other programs.";
         Changing = "PB3DP-PAN-043": "A control of a camera is being set, which could cost the target while an arm moves."; "Repeat the command.";
         Protocol = "PB3DP-PAN-039": "A WebSocket message breaks the protocol."; "Reload the page; scripts: follow docs/reference/panel-api.md.";
     }
@@ -349,7 +358,7 @@ impl Refusal {
             Self::SlowBody { .. } => 408,
             Self::TooMany { .. } => 429,
             Self::Connections { .. } => 503,
-            Self::NotTaken { .. } => 504,
+            Self::NotTaken { .. } | Self::PreviewLate { .. } => 504,
             Self::Held { .. }
             | Self::Nonce
             | Self::OtherState { .. }

@@ -35,7 +35,7 @@ fn messages_survive(bytes: &[u8]) {
         seen_survives(&seen);
         region.iter().for_each(|region| region_survives(region));
     }
-    if let Ok(PreviewRequest { region, .. }) = serde_json::from_slice(bytes) {
+    if let Ok(PreviewRequest { region: Some(region), .. }) = serde_json::from_slice(bytes) {
         region_survives(&region);
     }
     if let Ok(HeartbeatRequest { nonce, .. }) = serde_json::from_slice(bytes) {

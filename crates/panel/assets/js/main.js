@@ -18,6 +18,8 @@ import { ImageView, STATUS } from "./view.js";
 const LOG_LINES_MAX = 300;
 const EPIPOLAR_MS = 80;
 const PUSH_MS = 50;
+/** A busy computer takes long for a preview; the server itself gives up before. */
+const PREVIEW_ANSWER_MS = 11_000;
 const NO_TOKEN = 401;
 const OVERTAKEN = "PB3DP-PAN-030";
 /** Assumed depth of a target that has no pose, mm. */
@@ -91,9 +93,9 @@ const pointing = new Pointing(left, {
     askForImages();
     write(at("pixel"), "Regions are marked in the raw images: shown now, mark again.");
   },
-  // A preview keeps the pair until the region is complete, however long that takes.
-  onBegin: (u, v) => {
-    if (left.image) void post("/api/preview", { region: `click:${u},${v}`, sequence: left.image.sequence }, connection.session);
+  // The server keeps the pair until the region is complete, however long that takes.
+  onBegin: () => {
+    if (left.image) void post("/api/preview", { sequence: left.image.sequence }, connection.session);
   },
   onPush: paced(PUSH_MS, (du, dv) => {
     const mm = (state?.target.point_mm?.[2] ?? DEPTH_MM) / about.cameras.left.focal_px[0];
@@ -171,9 +173,9 @@ async function preview(region, tries = 3) {
   const sequence = left.image?.sequence;
   marked = null;
   showComputing();
-  const answer = await post("/api/preview", sequence === undefined ? { region } : { region, sequence }, connection.session);
+  const answer = await post("/api/preview", sequence === undefined ? { region } : { region, sequence }, connection.session, PREVIEW_ANSWER_MS);
   if (pointing.region() !== region) return;
-  // The request with which drawing began may arrive later, and replaces this one.
+  // That of another page may replace this one.
   if (answer.body.code === OVERTAKEN && tries > 1) return preview(region, tries - 1);
   if (!answer.ok) {
     forget();

@@ -22,7 +22,7 @@ const ARROWS = /** @type {Record<string, import("./types.js").Pixel>} */ ({ Arro
 export class Pointing {
   /**
    * @param {import("./view.js").ImageView} view
-   * @param {{onRaw: () => void, onFreeze: (sequence: number|null) => void, onCursor: (u: number, v: number) => void, onBegin: (u: number, v: number) => void, onRegion: (region: string) => void, onCancel: () => void, onPush: (du: number, dv: number) => void, canPush: boolean, canMark: boolean}} handlers
+   * @param {{onRaw: () => void, onFreeze: (sequence: number|null) => void, onCursor: (u: number, v: number) => void, onBegin: () => void, onRegion: (region: string) => void, onCancel: () => void, onPush: (du: number, dv: number) => void, canPush: boolean, canMark: boolean}} handlers
    */
   constructor(view, handlers) {
     this.view = view;
@@ -189,7 +189,7 @@ export class Pointing {
     }
     if (!view.isFrozen) {
       this.handlers.onFreeze(view.image.sequence);
-      this.handlers.onBegin(Math.round(at_px[0]), Math.round(at_px[1]));
+      this.handlers.onBegin();
     }
     if (this.tool === "polygon") {
       if (!this.isDrawing && this.points.length > 0) this.handlers.onCancel();

@@ -135,6 +135,7 @@ export class ImageView {
     if (this.image) {
       context.drawImage(this.image.bitmap, -0.5, -0.5, this.size_px[0], this.size_px[1]);
       if (!this.wasDrawn) this.drawn += 1;
+      canvas.dataset.shown = this.image.isRectified ? "rectified" : "raw";
       this.wasDrawn = true;
     }
     if (this.heat && !this.isFrozen) {

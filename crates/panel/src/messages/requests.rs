@@ -107,9 +107,9 @@ pub struct JogRequest {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PreviewRequest {
-    /// As in [`SelectRequest`].
-    pub region: String,
-    /// The pair on which it was drawn; default: the newest. The pair is kept for the selection.
+    /// As in [`SelectRequest`]; without it, nothing is computed: drawing begins.
+    pub region: Option<String>,
+    /// The pair on which it is drawn; default: the newest. The pair is kept for the selection.
     pub sequence: Option<u64>,
 }
 

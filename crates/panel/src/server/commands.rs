@@ -36,7 +36,7 @@ use crate::target_of::hand_shift;
 /// Time in which a control step takes a command: many steps even of a slow simulation.
 const TAKEN_WITHIN: Duration = Duration::from_millis(1000);
 /// Time in which a preview is answered: its own limit and that of the one before.
-const PREVIEWED_WITHIN: Duration = Duration::from_millis(3000);
+const PREVIEWED_WITHIN: Duration = Duration::from_secs(10);
 
 /// Answer of a request.
 pub type Answered = Result<Response, Refusal>;
@@ -303,21 +303,22 @@ pub async fn jog(State(app): State<App>, Extension(peer): Extension<Peer>, reque
     asked.audit(holder.ok().as_ref(), outcome)
 }
 
-/// `POST /api/preview`: needs no lease; the newest request wins.
+/// `POST /api/preview`: needs no lease; the newest request wins. Without a region the pair is kept for those to come.
 pub async fn preview(State(app): State<App>, Extension(peer): Extension<Peer>, request: Request) -> Answered {
     Asked::new("preview", &request, peer).count(&app)?;
     let PreviewRequest { region, sequence } = body::read(request).await?;
     let hub: &Arc<Hub> = &app.hub;
     hub.about.check_calibrated("preview")?;
-    let region = region_in(&region, hub.about.stereo.left().size())?;
+    let region = region.map(|region| region_in(&region, hub.about.stereo.left().size())).transpose()?;
     let pair = hub.watched.pairs.get(sequence)?;
     hub.watched.pairs.pin(&pair);
+    let Some(region) = region else { return Ok(json(&Done {})) };
     let (answer, answered) = oneshot::channel();
     hub.previews.give(PreviewJob { region, pair, answer });
     match tokio::time::timeout(PREVIEWED_WITHIN, answered).await {
         Ok(Ok(preview)) => preview.map(|preview| json(&preview)),
         Ok(Err(_)) => Err(Refusal::Overtaken { command: "preview", why: "a newer preview replaced it" }),
-        Err(_) => Err(Refusal::NotTaken { command: "preview", limit_ms: PREVIEWED_WITHIN.as_millis() as u64 }),
+        Err(_) => Err(Refusal::PreviewLate { limit_ms: PREVIEWED_WITHIN.as_millis() as u64 }),
     }
 }
 

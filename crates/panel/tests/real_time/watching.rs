@@ -162,12 +162,16 @@ fn a_preview_tells_whether_a_region_will_work_and_why_not() {
     assert_eq!(answer["outline_px"].as_array().unwrap().len(), 4);
     assert!(answer["ms"].as_f64().unwrap() > 0.0);
     assert!(answer["will_work"] == true || !answer["why"].as_str().unwrap().is_empty(), "{answer}");
+    client.wait_for("newer images", |state| state["images"]["sequence"].as_u64().unwrap() >= sequence + 2);
     let small = preview("rect:200,150,5,5", sequence).json();
     assert_eq!(small["will_work"], false);
     assert!(small["why"].as_str().unwrap().contains("25"), "{small}");
-    // The pair of a preview is kept, although the others of its time are gone.
+    let begun = client.post("preview", &json!({ "sequence": sequence + 2 }).to_string());
+    assert_eq!((begun.status, begun.body.as_str()), (200, "{}"), "drawing begins");
+    // Both pairs are kept, although the others of their time are gone.
     client.wait_for("newer images", |state| state["images"]["sequence"].as_u64().unwrap() > sequence + 60);
     assert_eq!(preview("rect:200,150,200,150", sequence).status, 200);
+    assert_eq!(preview("rect:200,150,200,150", sequence + 2).status, 200);
     let gone = preview("rect:200,150,200,150", sequence + 1);
     assert_eq!((gone.status, gone.code().as_str()), (409, "PB3DP-PAN-033"), "{}", gone.body);
     assert_eq!(preview("mask:/etc/passwd", sequence).code(), "PB3DP-PAN-032");
