@@ -75,7 +75,7 @@ pub enum EstimationError {
     NotStarted,
     /// Too few pixels of a region have a match for a visible surface.
     #[error(
-        "{matched_percent:.0} % of the region's pixels have a match in the right image, a surface needs {needed_percent:.0} %: check the depth \
+        "{matched_percent:.0} % of the region's pixels have a match in the right image, by chance or not, a surface needs {needed_percent:.0} %: check the depth \
          range (--z-range), the calibration, whether left and right are exchanged, and the texture of the region"
     )]
     NoSurface {

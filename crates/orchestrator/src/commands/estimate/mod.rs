@@ -190,7 +190,7 @@ fn work(
     let surface = match (&args.surface, visible) {
         (Some(file), Some(Ok(points))) => Some(surface::write(file, &points)?),
         (Some(file), Some(Err(error))) => {
-            surface_warning = Some(format!("--surface {}: not written: {error}", file.display()));
+            surface_warning = Some(surface::not_written(file, &error, &estimate));
             None
         }
         _ => None,
