@@ -328,7 +328,7 @@ def test_a_region_is_marked_with_keys_on_the_pair_that_was_shown(panel, page):
 
 
 def test_disabled_commands_have_a_reason_in_words(panel, page):
-    assert "Start, Hold, Hold hand, Resume, Reset: take the command first" in page.text("#blocked")
+    assert "Start, Hold, Hold hand, Resume, Re-align, Reset: take the command first" in page.text("#blocked")
     page.take_command()
     wait_for(lambda: "Start: select a target first" in page.text("#blocked"))
     assert "Reset: only after a stop or a fault" in page.text("#blocked")

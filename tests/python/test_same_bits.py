@@ -207,6 +207,8 @@ def test_the_shares_of_the_calibration_in_a_tracked_recording(recorded, tmp_path
         assert covariance_mm(estimate.calibration_covariance_of_motion).ravel().tolist() == line["calibration_covariance_of_motion"]
         assert covariance_mm(estimate.first_pose_covariance).ravel().tolist() == line["first_pose_covariance"]
         assert covariance_mm(estimate.pose_covariance).ravel().tolist() == line["pose_covariance"]
+        assert covariance_mm(estimate.surface_covariance).ravel().tolist() == line["surface_covariance"]
+        assert (estimate.surface_from_model.shape, estimate.surface_version) == ((4, 4), line["surface_version"])
     moved = np.abs(estimate.calibration_covariance_of_motion).max()
     assert moved > 0.0
     # Marking the target again begins with another first pose.

@@ -41,6 +41,7 @@ fn control_steps_of_both_arms_do_not_allocate() {
             frame: FrameInput { sequence: step as u64, at: now, skew_s: 0.0 },
             estimate: EstimateInput { at: now, confidence: Confidence::Sure, covariance: None, target: 1 },
             observation: Some(observation),
+            surface_from_model: None,
         };
         moving.observe(percept, now);
         let before = requests();

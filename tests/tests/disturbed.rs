@@ -329,10 +329,11 @@ impl Disturbed<'_> {
 
 /// The same percept with later time stamps.
 fn stamped_later(percept: Percept, by: Duration) -> Percept {
-    let Percept { frame, estimate, observation } = percept;
+    let Percept { frame, estimate, observation, surface_from_model } = percept;
     Percept {
         frame: FrameInput { at: frame.at + by, ..frame },
         estimate: EstimateInput { at: estimate.at + by, ..estimate },
         observation: observation.map(|observation| TargetObservation { at: observation.at + by, ..observation }),
+        surface_from_model,
     }
 }

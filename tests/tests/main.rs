@@ -12,6 +12,7 @@ mod mutated_inputs;
 mod rates;
 mod real_pairs;
 mod real_time;
+mod realigned;
 mod safety_numbers;
 mod selected;
 mod stalls;

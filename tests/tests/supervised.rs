@@ -96,6 +96,7 @@ impl<'a> Bench<'a> {
                 frame: FrameInput { sequence: self.steps, at: now, skew_s: 0.0 },
                 estimate: EstimateInput { at: now, confidence: self.confidence, covariance: None, target },
                 observation: (self.confidence != Confidence::NoPose).then_some(observation),
+                surface_from_model: None,
             };
             self.moving.observe(percept, now);
         }

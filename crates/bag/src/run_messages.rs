@@ -152,8 +152,6 @@ message! {
         covariance: Vec<f64>,
         /// Whether the rotation about the normal is measured.
         rotation_about_normal_observed: bool,
-        /// Whether each direction is: shifts along x, y, z of the model, and turns about them.
-        observed: Later<bool>,
     }
 }
 
@@ -210,6 +208,10 @@ message! {
         world_from_hand: Vec<f64>,
         /// True pose of the target; without a simulation that from the measured joints.
         world_from_target: Vec<f64>,
+        /// Whether each direction of the pose of this result is measured: shifts along x, y, z of the model, and turns about them.
+        observed_directions: Later<bool>,
+        /// The visible surface beside the model, of this result.
+        surface_from_model: Later<f64>,
     }
 }
 
@@ -275,5 +277,11 @@ message! {
         first_pose_covariance: Later<f64>,
         /// Covariance of the pose, that of the first one included.
         pose_covariance: Later<f64>,
+        /// The plane of the visible surface beside the model.
+        surface_from_model: Later<f64>,
+        /// Its covariance.
+        surface_covariance: Later<f64>,
+        /// Number of pairs that have improved it.
+        surface_version: Later<u32>,
     }
 }

@@ -239,9 +239,10 @@ fn measure_first_poses(
     options: &Options,
     as_json: bool,
 ) -> anyhow::Result<Vec<FirstPoses>> {
+    let moved_s = (!options.quick).then_some(first_pose::MOVED_S);
     let found = in_parallel(objects.len(), options.threads, |index| {
         let (name, target) = objects[index];
-        first_pose::measure(name, target, options.seed, first_pose::STARTS)
+        first_pose::measure(name, target, options.seed, first_pose::STARTS, moved_s)
     })?;
     if as_json {
         found.iter().for_each(|row| println!("{}", row.to_json()));

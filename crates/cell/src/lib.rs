@@ -2,6 +2,7 @@
 //!
 //! Wiring supplies the devices as [`parts`]. This crate names no arm, and no camera but the simulated one that renders no images.
 
+pub mod aim;
 pub mod annotation;
 pub mod attended;
 pub mod attended_motion;

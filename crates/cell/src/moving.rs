@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use anyhow::{Result, bail};
-use pb3dp_geometry::frames::{Base, Hand, Model};
+use pb3dp_geometry::frames::{Base, Model, Surface};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::{ArmError, ArmErrorKind, JointCommand, JointState};
 use pb3dp_kinematics::{Damping, JointVector};
@@ -15,6 +15,7 @@ use pb3dp_setup::setup::{Carrier, Setup};
 use pb3dp_sim::placement::FlangePath;
 use pb3dp_sim::trajectory::Trajectory;
 
+use super::aim::Aim;
 use super::both_arms::{BothArms, EnablePosition, LedArm, in_words};
 use super::carrier::{carry, off_by};
 use super::devices::DrivenArm;
@@ -38,8 +39,8 @@ pub struct Moving<'a> {
     /// Path of the arm that carries the target; none if that arm holds.
     path: Option<FlangePath<'a>>,
     controller: Controller,
-    /// Offset of the desired pose of the hand that the controller has.
-    hand_from_hand_shifted: Pose<Hand, Hand>,
+    /// The desired pose of the hand.
+    aim: Aim,
     permitting: Permitting,
     operator: Box<dyn Operator>,
     /// A rest that only a person could end was reported.
@@ -86,6 +87,8 @@ pub struct Moved {
     pub observed: Option<Percept>,
     /// Pose of the target at the time of the joint sample, by the filter.
     pub base_from_model: Option<Pose<Base, Model>>,
+    /// The surface for which the desired pose of the hand is meant.
+    pub model_from_surface: Pose<Model, Surface>,
     /// Controller mode.
     pub mode: Mode,
     /// Decision of the supervisor.
@@ -113,7 +116,7 @@ impl<'a> Moving<'a> {
             arms: BothArms::new(setup, arms, begin),
             controller: Controller::new(setup.controller, setup.rig.arms.vs.chain.clone(), setup.rig.arms.vs.limits)?,
             permitting: Permitting::new(&setup.supervisor, *setup.rig.arms.vs.limits.operating())?,
-            hand_from_hand_shifted: Pose::coincident(),
+            aim: Aim::new(&setup.controller.model_from_hand_desired),
             operator: Box::new(ByCommand),
             is_rest_told: false,
             is_stopped: false,
@@ -152,9 +155,7 @@ impl<'a> Moving<'a> {
         let heard = self.listen(now);
         let MotionRequest { speed_share, hand_from_hand_shifted } = self.operator.motion();
         let speed_share = if speed_share.is_finite() { speed_share.clamp(0.0, 1.0) } else { 0.0 };
-        if hand_from_hand_shifted.is_finite() && hand_from_hand_shifted != self.hand_from_hand_shifted {
-            self.hand_from_hand_shifted = hand_from_hand_shifted;
-            let desired = self.setup.controller.model_from_hand_desired * hand_from_hand_shifted;
+        if let Some(desired) = self.aim.shift(hand_from_hand_shifted) {
             self.controller.set_model_from_hand_desired(desired);
         }
         let arms = [&self.arms.vs, &self.arms.tc].map(|arm| (arm.condition(), arm.joints()));
@@ -171,7 +172,20 @@ impl<'a> Moving<'a> {
         if decision.rearm {
             self.controller.acquire();
         }
+        self.align(&decision);
         (control, decision, told)
+    }
+
+    /// Where the hand begins an approach, its desired pose is that relative to the surface as it is known now.
+    fn align(&mut self, decision: &Decision) {
+        let event = decision.transition.map(|transition| transition.event);
+        if !matches!(event, Some(Event::Start | Event::Resume | Event::Realign)) {
+            return;
+        }
+        if let Some(desired) = self.aim.align(self.newest.map(|percept| percept.estimate.target)) {
+            self.controller.set_model_from_hand_desired(desired);
+            self.controller.approach_again();
+        }
     }
 
     /// Warns once of a rest that only a person could end, where nobody can type `resume`.
@@ -379,6 +393,7 @@ impl Mover for Moving<'_> {
     }
 
     fn observe(&mut self, percept: Percept, _now: MonotonicTime) {
+        self.aim.see(&percept);
         self.newest = Some(percept);
         self.observed = Some(percept);
     }
@@ -404,7 +419,19 @@ impl Moving<'_> {
         let (mode, base_from_model) = (control.mode, control.base_from_model);
         let (number, observed) = (self.number, self.observed.take());
         self.number += 1;
-        let moved = Moved { number, at: now, observed, base_from_model, mode, decision, vs_joints, arms, conditions };
+        let model_from_surface = self.aim.model_from_surface();
+        let moved = Moved {
+            number,
+            at: now,
+            observed,
+            base_from_model,
+            model_from_surface,
+            mode,
+            decision,
+            vs_joints,
+            arms,
+            conditions,
+        };
         if decision.permission == Permission::Stop {
             self.stay_stopped(&decision, now)?;
             return Ok(moved);

@@ -3,6 +3,8 @@
 use nalgebra::Matrix6;
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::status::Status;
+use pb3dp_geometry::Pose;
+use pb3dp_geometry::frames::{Model, Surface};
 use pb3dp_servo::TargetObservation;
 use pb3dp_servo::supervisor::{Confidence, EstimateInput, FrameInput};
 
@@ -15,6 +17,8 @@ pub struct Percept {
     pub estimate: EstimateInput,
     /// Input of the controller, if there is a pose.
     pub observation: Option<TargetObservation>,
+    /// The visible surface beside `model`, if it is known.
+    pub surface_from_model: Option<Pose<Surface, Model>>,
 }
 
 impl Percept {
@@ -28,8 +32,13 @@ impl Percept {
         let confidence = confidence(estimate.status, observation.is_some());
         let observation = observation.filter(|_| confidence != Confidence::Miscalibrated);
         let covariance = estimate.pose_covariance.map(|covariance| without_spin(covariance, estimate));
-        let estimate = EstimateInput { at: frame.at, confidence, covariance, target };
-        Self { frame, estimate, observation }
+        let input = EstimateInput { at: frame.at, confidence, covariance, target };
+        Self {
+            frame,
+            estimate: input,
+            observation,
+            surface_from_model: estimate.surface.map(|known| known.surface_from_model),
+        }
     }
 }
 

@@ -1,7 +1,7 @@
 //! Results of the estimators: a plane or a pose, a status, and the reason for the status.
 
 use nalgebra::{Matrix3, Matrix6, Vector2, Vector3};
-use pb3dp_geometry::frames::{CamLeft, Model};
+use pb3dp_geometry::frames::{CamLeft, Model, Surface};
 use pb3dp_geometry::{Camera, Pose};
 
 use crate::model_frame::{ModelFrame, frame_covariance, model_frame_on_plane};
@@ -276,6 +276,18 @@ pub struct CalibrationShare {
     pub motion: Matrix6<f64>,
 }
 
+/// The plane of the visible surface beside `model`: later pairs improve it, and `model` itself never moves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfaceEstimate {
+    /// Pose of `model` relative to the plane; coincident in version 0.
+    pub surface_from_model: Pose<Surface, Model>,
+    /// Covariance of the plane against the visible surface: metres and radians, translation first, axes of `surface`. In version 0 it is that of
+    /// the first pose.
+    pub covariance: Matrix6<f64>,
+    /// 0: the first pair alone; one more with each pair that has improved it.
+    pub version: u32,
+}
+
 /// Tracking result for one frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrackEstimate {
@@ -303,6 +315,8 @@ pub struct TrackEstimate {
     pub pose_covariance: Option<Matrix6<f64>>,
     /// The share of the calibration, which both of the last two contain and `covariance` does not; `None` if its errors are not known.
     pub calibration: Option<CalibrationShare>,
+    /// The plane of the visible surface beside `model`, as the pairs so far show it. `None` without a pose or `first_pose_covariance`.
+    pub surface: Option<SurfaceEstimate>,
     /// Best hypothesis, at the centre of this frame's region. `None` if nothing was searched or the method has no hypotheses.
     pub psi: Option<PlaneHypothesis>,
     /// Agreement of model and images, at most 1: the fitness of `psi`, or, for the direct method, the smaller of the
@@ -335,6 +349,7 @@ impl TrackEstimate {
             first_pose_covariance: None,
             pose_covariance: None,
             calibration: None,
+            surface: None,
             psi: None,
             fitness: None,
             outline_px: Vec::new(),

@@ -4,6 +4,7 @@ mod ending;
 mod exposures;
 mod lost;
 mod periodic;
+mod surface_evidence;
 mod twins;
 
 use nalgebra::{Isometry3, Matrix3, Matrix6, Matrix6x3, Point3, Vector2, Vector3};
@@ -33,6 +34,7 @@ use super::view::View;
 pub(super) use ending::Ending;
 use pb3dp_estimation_core::method::{FramePrior, SurfacePoint};
 use periodic::Periodic;
+use surface_evidence::SurfaceEvidence;
 
 /// Weights of a frame's information about the surface. All frames share the noise of the stored view, which hardly affects
 /// the disparities that determine the relief. The view alone determines the plane's tilt: half of the variance is the
@@ -117,6 +119,8 @@ pub(super) struct Target {
     periodic: Option<Box<Periodic>>,
     /// Whether the frame `model` is on the plane of the visible surface, whose covariance is in that of the first pose.
     pub(super) is_on_surface: bool,
+    /// What later pairs show of the surface.
+    evidence: SurfaceEvidence,
     /// Covariance of the first pose.
     pub(super) first_pose_covariance: Option<Matrix6<f64>>,
     /// The same without the error of a motion between the exposures of the first pair.
@@ -180,6 +184,7 @@ impl Target {
             is_unverified: false,
             periodic: None,
             is_on_surface: false,
+            evidence: SurfaceEvidence::default(),
             first_pose_covariance: None,
             first_pose_covariance_at_rest: None,
             first_skew_s: None,

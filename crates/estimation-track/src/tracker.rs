@@ -365,6 +365,7 @@ impl DirectTracker {
     ) -> Ending {
         target.frame += 1;
         let prior = &prior.plausible();
+        target.grow_older(passed_s(prior));
         if let Some(side) = stuck_camera(&mut self.remembered, [left, right]) {
             target.away_s += passed_s(prior);
             target.motion.coast(prior);
@@ -412,6 +413,9 @@ impl DirectTracker {
             target.accept(&self.frame(), prior);
             if target.looks_around() && may_continue() {
                 self.look_around(target, (left, right), may_continue);
+            }
+            if target.wants_surface(prior) && may_continue() {
+                self.look_at_surface(target, (left, right));
             }
         } else {
             target.motion.coast(prior);
@@ -477,7 +481,7 @@ impl DirectTracker {
         out.warnings.clear();
         out.reason.clear();
         out.outline_px.clear();
-        (out.cam_left_from_model, out.covariance, out.first_pose_covariance) = (None, None, None);
+        (out.cam_left_from_model, out.covariance, out.first_pose_covariance, out.surface) = (None, None, None, None);
         let Some(target) = &self.target else { return };
         // Writing into a string cannot fail.
         let _ = write!(out.reason, "{ending}");
@@ -487,6 +491,7 @@ impl DirectTracker {
             out.cam_left_from_model = Some(pose);
             out.covariance = target.covariance;
             out.first_pose_covariance = target.first_pose_covariance;
+            out.surface = target.surface_estimate();
             out.fitness = Some(target.fit.correlation[0].min(target.fit.correlation[1]));
             let doubt_m = target.doubtful_period_m();
             if let Some(period_m) = doubt_m {

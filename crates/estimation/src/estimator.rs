@@ -470,6 +470,9 @@ impl Tracker {
         };
         add(&mut estimate.pose_covariance, estimate.calibration.map(|share| share.pose));
         add(&mut estimate.first_pose_covariance, *share_of_first);
+        if let (Some(surface), Some(share)) = (&mut estimate.surface, share_of_first) {
+            surface.covariance += share;
+        }
     }
 
     /// Whether the rows of the whole image show the rig: both cameras expose at once.

@@ -4,9 +4,10 @@
 use nalgebra::Matrix6;
 use pb3dp_estimation::calibration_term::CalibrationTerm;
 use pb3dp_estimation::estimator::{EstimatorConfig, Method, Tracker};
-use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_estimation_core::estimate::{SurfaceEstimate, TrackEstimate};
 use pb3dp_estimation_core::method::{EstimateRequest, FramePrior};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_geometry::Pose;
 
 use crate::moving_plane::{Shot, general_rig, moving, region, render};
 
@@ -49,6 +50,8 @@ fn every_frame_has_the_error_of_the_first_pose_and_the_sum() {
         assert_eq!(later.first_pose_covariance, Some(first));
         assert_eq!(later.pose_covariance, Some(first + own));
         assert_eq!(later.calibration, None);
+        let plane = SurfaceEstimate { surface_from_model: Pose::coincident(), covariance: first, version: 0 };
+        assert_eq!(later.surface, Some(plane), "of a plane, later pairs show nothing else");
     }
 }
 

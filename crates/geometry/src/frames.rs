@@ -43,6 +43,9 @@ frames! {
     /// The estimated frame on the target, defined by the first stereo pair. Origin: where the ray of the region's centroid meets the
     /// target's plane. z: perpendicular to this plane, away from the cameras.
     Model = "model";
+    /// The plane of the visible surface of the target, beside `model`. Origin: where the ray of the origin of `model` in the first left image
+    /// meets it. z: perpendicular to it, away from the cameras.
+    Surface = "surface";
     /// The object carried by the target arm, as the simulator describes it.
     Target = "target";
     /// On a calibration board: origin at its first corner, x along the rows, y down the columns, z into the board.

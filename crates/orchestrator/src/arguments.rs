@@ -79,7 +79,7 @@ pub struct RunArgs {
 pub enum OperatorName {
     /// The command itself: it selects the target and starts once; a stop of the arms ends the run.
     Command,
-    /// A person who types commands on standard input: select, start, hold, resume, stop, reset, status, quit. Nothing moves before
+    /// A person who types commands on standard input: select, start, hold, resume, re-align, stop, reset, status, quit. Nothing moves before
     /// start; a stop or fault does not end the run. Without --stop-after the run ends after one hour.
     Console,
 }
@@ -210,6 +210,9 @@ const TRACK_JSON: &str =
                        first one, and in the first frame that of the first pose
   first_pose_covariance  the same of the first pose against the visible surface of the target
   pose_covariance      the sum, in the first frame that of the first pose: the same of this pose against the visible surface
+  surface_from_model   16 numbers as above: the plane of the visible surface beside the model, as the frames so far show it
+  surface_covariance   the same as covariance, of that plane against the visible surface of the target
+  surface_version      number of frames that have improved it; 0: it is the plane of the model
   calibration_covariance, calibration_covariance_of_motion  the share of the calibration in pose_covariance, and that to be
                        added to covariance, if the calibration file states a covariance
   observed             six booleans, whether the images determine x, y, z and the turns about them, or null

@@ -178,7 +178,11 @@ impl ControlLink {
             OperatorCommand::Stop => Some(&self.stop),
             OperatorCommand::Hold => Some(&self.hold),
             OperatorCommand::HoldHand => Some(&self.hold_hand),
-            OperatorCommand::Select | OperatorCommand::Start | OperatorCommand::Resume | OperatorCommand::Reset => None,
+            OperatorCommand::Select
+            | OperatorCommand::Start
+            | OperatorCommand::Resume
+            | OperatorCommand::Realign
+            | OperatorCommand::Reset => None,
         }
     }
 

@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use pb3dp_cell::moving::Moved;
-use pb3dp_geometry::MonotonicTime;
+use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_kinematics::JointVector;
 use pb3dp_servo::supervisor::{ArmCondition, Condition, Decision, Event, Outcome, State, Why, table};
 
@@ -16,7 +16,7 @@ use crate::messages::state::{
     Truth,
 };
 use crate::messages::{time_ms, transform_of};
-use crate::target_of::target_of;
+use crate::target_of::{HandPlace, target_of};
 
 /// Time over which rates are measured.
 const WINDOW: Duration = Duration::from_secs(1);
@@ -66,7 +66,9 @@ impl StateBuilder {
             world_from_target: transform_of(&(world_from_cam_left * cam_left_from_target)),
         });
         let jog = *hub.jog();
-        let (target, error) = target_of(&hub.about, newest.as_deref(), (world_from_cam_left, jog), now);
+        let model_from_surface = self.step.as_ref().map_or_else(Pose::coincident, |step| step.model_from_surface);
+        let hand = HandPlace { world_from_cam_left, model_from_surface, jog };
+        let (target, error) = target_of(&hub.about, newest.as_deref(), &hand, now);
         let targets = hub.targets();
         let saved = targets.saved.iter().map(|(name, _)| name.clone()).collect();
         let target_name = targets.name.clone().filter(|_| target.id.is_some());
@@ -232,6 +234,7 @@ fn possible_commands(decision: &Decision) -> Vec<&'static str> {
         ("hold", may_hold),
         ("hold-hand", state.is_moving()),
         ("resume", leads(Event::Resume) && decision.is_ready),
+        ("re-align", leads(Event::Realign)),
         ("reset", leads(Event::Reset)),
         ("stop", !matches!(state, State::Stopped | State::Fault)),
     ]

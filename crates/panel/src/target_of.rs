@@ -1,7 +1,7 @@
 //! The target in the state that clients see.
 
 use nalgebra::{UnitQuaternion, Vector3};
-use pb3dp_geometry::frames::{CamLeft, Hand, World};
+use pb3dp_geometry::frames::{CamLeft, Hand, Model, Surface, World};
 use pb3dp_geometry::{MonotonicTime, Pose};
 
 use crate::about::About;
@@ -10,11 +10,21 @@ use crate::messages::state::{JogState, TargetState};
 use crate::messages::{degrees, millimetres, pixels, sigmas, transform_of};
 use crate::spectator::NewestEstimate;
 
+/// Where the cameras are, and what the desired pose of the hand depends on.
+pub struct HandPlace {
+    /// Pose of the left camera, by the present joints.
+    pub world_from_cam_left: Option<Pose<World, CamLeft>>,
+    /// The surface for which the desired pose is meant.
+    pub model_from_surface: Pose<Model, Surface>,
+    /// The offset of the desired pose.
+    pub jog: JogState,
+}
+
 /// The target, and the distance and angle of the hand from its desired pose, in millimetres and degrees.
 pub fn target_of(
     about: &About,
     newest: Option<&NewestEstimate>,
-    (world_from_cam_left, jog): (Option<Pose<World, CamLeft>>, JogState),
+    &HandPlace { world_from_cam_left, model_from_surface, jog }: &HandPlace,
     now: MonotonicTime,
 ) -> (TargetState, Option<(f64, f64)>) {
     let Some(newest) = newest else {
@@ -48,7 +58,16 @@ pub fn target_of(
         target.error_deg = Some(degrees(error.rotation().scaled_axis()));
     }
     let error = about.hand.as_ref().map(|hand| {
-        let model_from_hand_desired = hand.model_from_hand_desired * hand_shift(&jog);
+        let desired = |model_from_surface: &Pose<Model, Surface>| {
+            *model_from_surface * hand.model_from_hand_desired.relabel() * hand_shift(&jog)
+        };
+        let model_from_hand_desired = desired(&model_from_surface);
+        if let Some(surface) = &estimate.surface {
+            let way = model_from_hand_desired.inverse() * desired(&surface.surface_from_model.inverse());
+            target.surface_version = Some(surface.version);
+            target.realign_mm = Some(way.translation_m().norm() * 1e3);
+            target.realign_deg = Some(way.rotation_angle_rad().to_degrees());
+        }
         let model_from_hand = (hand.hand_from_cam_left * *cam_left_from_model).inverse();
         let error = model_from_hand_desired.inverse() * model_from_hand;
         (error.translation_m().norm() * 1e3, error.rotation_angle_rad().to_degrees())

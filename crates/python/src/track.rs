@@ -96,6 +96,24 @@ impl TrackEstimate {
         arrays::covariance(py, self.estimate.pose_covariance.as_ref())
     }
 
+    /// The visible surface beside `model`, as the frames so far show it: 4x4, metres, or None. `model` itself never moves.
+    #[getter]
+    fn surface_from_model<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
+        arrays::pose_if_any(py, self.estimate.surface.as_ref().map(|surface| &surface.surface_from_model))
+    }
+
+    /// Covariance of `surface` against the visible surface, 6x6 as `covariance`, or None.
+    #[getter]
+    fn surface_covariance<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
+        arrays::covariance(py, self.estimate.surface.as_ref().map(|surface| &surface.covariance))
+    }
+
+    /// Number of frames that have improved `surface`, or None; 0: it is `model`.
+    #[getter]
+    fn surface_version(&self) -> Option<u32> {
+        self.estimate.surface.map(|surface| surface.version)
+    }
+
     /// The share of the calibration in `pose_covariance`, 6x6; None without a pose, or if the calibration file states no covariance
     /// (`StereoRig.calibration_covariance`).
     #[getter]

@@ -7,7 +7,7 @@ use pb3dp_bag::run_messages::{Chosen, PairResult};
 use pb3dp_cell::noting::PairEstimate;
 use pb3dp_cell::perception::View;
 use pb3dp_cell::selection::Choice;
-use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_estimation_core::estimate::{SurfaceEstimate, TrackEstimate};
 
 use crate::exact::{covariance, of_covariance, of_pose_if_any, of_region, pose_if_any, same_bits};
 
@@ -22,6 +22,7 @@ pub fn pair_result(seen: &PairEstimate) -> PairResult {
             drawn_on: selection.drawn_on.iter().map(|pair| pair.sequence).collect(),
         },
     });
+    let surface = estimate.surface.as_ref();
     PairResult {
         sequence: captured.frame.sequence,
         exposed_at_nanos: captured.frame.at.as_nanos(),
@@ -46,6 +47,9 @@ pub fn pair_result(seen: &PairEstimate) -> PairResult {
         age_millis: seen.age_millis,
         first_pose_covariance: Later(of_covariance(estimate.first_pose_covariance.as_ref())),
         pose_covariance: Later(of_covariance(estimate.pose_covariance.as_ref())),
+        surface_from_model: Later(of_pose_if_any(surface.map(|known| &known.surface_from_model))),
+        surface_covariance: Later(of_covariance(surface.map(|known| &known.covariance))),
+        surface_version: Later(surface.iter().map(|known| known.version).collect()),
     }
 }
 
@@ -64,6 +68,7 @@ pub fn recorded_estimate(result: &PairResult) -> Result<TrackEstimate> {
         covariance: covariance("covariance", &result.covariance)?,
         first_pose_covariance: covariance("first_pose_covariance", &result.first_pose_covariance.0)?,
         pose_covariance: covariance("pose_covariance", &result.pose_covariance.0)?,
+        surface: recorded_surface(result)?,
         fitness: result.fitness.first().copied(),
         outline_px: result.outline_px.chunks_exact(2).map(corner).collect(),
         observed,
@@ -72,12 +77,26 @@ pub fn recorded_estimate(result: &PairResult) -> Result<TrackEstimate> {
     })
 }
 
-/// Whether two estimates are equal to the bit. Times of the computation do not count.
+fn recorded_surface(result: &PairResult) -> Result<Option<SurfaceEstimate>> {
+    let surface_from_model = pose_if_any("surface_from_model", &result.surface_from_model.0)?;
+    let covariance = covariance("surface_covariance", &result.surface_covariance.0)?;
+    let version = result.surface_version.0.first().copied();
+    let all = surface_from_model.zip(covariance).zip(version);
+    Ok(all.map(|((surface_from_model, covariance), version)| SurfaceEstimate {
+        surface_from_model,
+        covariance,
+        version,
+    }))
+}
+
+/// Whether two estimates are equal to the bit. Times of the computation do not count, nor does a surface that a version before did not record.
 pub fn is_same_estimate(one: &PairResult, other: &PairResult) -> bool {
+    let surfaces = [one, other].map(|result| &result.surface_from_model.0);
     one.status == other.status
         && one.target == other.target
         && one.observed == other.observed
         && same_bits(&one.cam_left_from_model, &other.cam_left_from_model)
         && same_bits(&one.covariance, &other.covariance)
+        && (surfaces.iter().any(|surface| surface.is_empty()) || same_bits(surfaces[0], surfaces[1]))
         && same_bits(&one.fitness, &other.fitness)
 }

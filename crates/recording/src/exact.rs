@@ -9,7 +9,7 @@ use image::{DynamicImage, GrayImage, ImageFormat};
 use nalgebra::{Matrix6, Point3, Vector2};
 use pb3dp_bag::cdr::{Bytes, Later};
 use pb3dp_bag::messages::LogLine;
-use pb3dp_bag::run_messages::{self, Marked, Observed, Said};
+use pb3dp_bag::run_messages::{self, ControlStep, Marked, Observed, Said};
 use pb3dp_bag::stops::{of_pose, pose};
 use pb3dp_cell::commands::CommandSummary;
 use pb3dp_cell::operator::MotionRequest;
@@ -90,9 +90,16 @@ pub fn joints(what: &str, numbers: &[f64]) -> Result<JointVector> {
     Ok(JointVector::from_column_slice(numbers))
 }
 
-/// What a step observed.
-pub fn of_percept(percept: &Percept) -> Observed {
-    let Percept { frame, estimate, observation } = percept;
+/// Notes what a step observed.
+pub fn note_percept(step: &mut ControlStep, percept: &Percept) {
+    let observation = percept.observation.as_ref();
+    step.observed = vec![of_percept(percept)];
+    step.observed_directions = Later(observation.map_or_else(Vec::new, |seen| seen.observed.to_vec()));
+    step.surface_from_model = Later(of_pose_if_any(percept.surface_from_model.as_ref()));
+}
+
+fn of_percept(percept: &Percept) -> Observed {
+    let Percept { frame, estimate, observation, .. } = percept;
     let seen = observation.as_ref();
     Observed {
         sequence: frame.sequence,
@@ -111,15 +118,15 @@ pub fn of_percept(percept: &Percept) -> Observed {
         trusted: seen.is_some_and(|seen| seen.trusted),
         covariance: of_covariance(seen.and_then(|seen| seen.covariance.as_ref())),
         rotation_about_normal_observed: seen.is_some_and(|seen| seen.observed[5]),
-        observed: Later(seen.map_or_else(Vec::new, |seen| seen.observed.to_vec())),
     }
 }
 
-/// The same back.
+/// The same back; none if the step observed nothing.
 ///
 /// # Errors
 /// Names the damaged field.
-pub fn percept(seen: &Observed) -> Result<Percept> {
+pub fn percept(step: &ControlStep) -> Result<Option<Percept>> {
+    let Some(seen) = step.observed.first() else { return Ok(None) };
     let at = MonotonicTime::from_nanos(seen.exposed_at_nanos);
     let confidence = match seen.confidence.as_str() {
         "sure" => Confidence::Sure,
@@ -135,20 +142,21 @@ pub fn percept(seen: &Observed) -> Result<Percept> {
                 cam_left_from_model,
                 trusted: seen.trusted,
                 covariance: covariance("observed.covariance", &seen.covariance)?,
-                observed: match &seen.observed.0[..] {
+                observed: match &step.observed_directions.0[..] {
                     // Versions before wrote the last one only.
                     [] => [true, true, true, true, true, seen.rotation_about_normal_observed],
-                    six => six.try_into().context("observed.observed: a pose has six directions")?,
+                    six => six.try_into().context("observed_directions: a pose has six directions")?,
                 },
             })
         })
         .transpose()?;
     let stated = covariance("observed.stated_covariance", &seen.stated_covariance)?;
-    Ok(Percept {
+    Ok(Some(Percept {
         frame: FrameInput { sequence: seen.sequence, at, skew_s: seen.skew_s },
         estimate: EstimateInput { at, confidence, covariance: stated, target: seen.target },
         observation,
-    })
+        surface_from_model: pose_if_any("surface_from_model", &step.surface_from_model.0)?,
+    }))
 }
 
 /// What the operator has said, and the last sign of life.
@@ -333,6 +341,7 @@ pub fn end(message: &run_messages::RunEnd) -> RunEnd {
 #[cfg(test)]
 mod tests {
     use nalgebra::{UnitQuaternion, Vector3};
+    use pb3dp_bag::cdr::{from_bytes, to_bytes};
     use pb3dp_geometry::frames::{CamLeft, Model};
 
     use super::*;
@@ -370,13 +379,51 @@ mod tests {
                 covariance: Some(covariance.transpose()),
                 observed: [true, false, true, true, false, true],
             }),
+            surface_from_model: Some(awkward().relabel()),
         };
-        let back = percept(&of_percept(&seen)).unwrap();
+        let noted = |seen: &Percept| {
+            let mut step = ControlStep::default();
+            note_percept(&mut step, seen);
+            step
+        };
+        let bytes = to_bytes(&noted(&seen));
+        let step: ControlStep = from_bytes(&bytes).unwrap();
+        let back = percept(&step).unwrap().unwrap();
         assert_eq!(back.frame, seen.frame);
         assert_eq!(back.estimate, seen.estimate);
         assert_eq!(back.observation, seen.observation);
+        assert_eq!(back.surface_from_model, seen.surface_from_model);
         let blind = Percept { observation: None, ..seen };
-        assert!(percept(&of_percept(&blind)).unwrap().observation.is_none());
+        assert!(percept(&noted(&blind)).unwrap().unwrap().observation.is_none());
+        assert!(percept(&ControlStep::default()).unwrap().is_none());
+    }
+
+    /// A field that was added in the middle of a step once made every older recording unreadable.
+    #[test]
+    fn a_step_of_a_version_before_is_read() {
+        let at = MonotonicTime::from_nanos(5);
+        let observation = TargetObservation {
+            at,
+            cam_left_from_model: awkward(),
+            trusted: true,
+            covariance: None,
+            observed: [true, true, true, true, true, false],
+        };
+        let seen = Percept {
+            frame: FrameInput { sequence: 7, at, skew_s: 0.0 },
+            estimate: EstimateInput { at, confidence: Confidence::Sure, covariance: None, target: 3 },
+            observation: Some(observation),
+            surface_from_model: None,
+        };
+        let mut step = ControlStep { world_from_target: vec![0.5; 7], ..ControlStep::default() };
+        note_percept(&mut step, &seen);
+        step.observed_directions = Later(Vec::new());
+        let bytes = to_bytes(&step);
+        // Both lists at the end are empty: four bytes each.
+        let before: ControlStep = from_bytes(&bytes[..bytes.len() - 8]).unwrap();
+        assert_eq!(before.world_from_target, step.world_from_target);
+        let back = percept(&before).unwrap().unwrap();
+        assert_eq!((back.observation, back.surface_from_model), (seen.observation, None));
     }
 
     #[test]

@@ -10,7 +10,7 @@ use pb3dp_hal_api::{JointCommand, JointState};
 use pb3dp_servo::supervisor::OperatorInput;
 use rtrb::Consumer;
 
-use crate::exact::{of_failure, of_percept, of_pose_if_any, of_state};
+use crate::exact::{note_percept, of_failure, of_pose_if_any, of_state};
 use crate::tap::{Answer, Call, Event, Told};
 
 /// Gathers the events of each step.
@@ -46,7 +46,9 @@ impl Steps {
         let mut step = self.open.take()?;
         self.number = moved.number + 1;
         step.number = moved.number;
-        step.observed = moved.observed.iter().map(of_percept).collect();
+        if let Some(percept) = &moved.observed {
+            note_percept(&mut step, percept);
+        }
         step.finished = true;
         step.mode = moved.mode.to_string();
         step.state = moved.decision.state.name().to_owned();

@@ -227,6 +227,11 @@ impl Controller {
         }
     }
 
+    /// The hand approaches its desired pose anew, from where it is and at the speed of an approach.
+    pub fn approach_again(&mut self) {
+        self.approached_at = None;
+    }
+
     /// Whether the hand may search for a lost target, from [`crate::supervisor::Decision::search`] in each step. Without
     /// [`ControllerConfig::search`] the hand holds.
     pub fn permit_search(&mut self, is_permitted: bool) {

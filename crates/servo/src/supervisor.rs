@@ -252,6 +252,7 @@ impl Supervisor {
             said(OperatorCommand::Select),
             said(OperatorCommand::Start),
             said(OperatorCommand::Resume),
+            said(OperatorCommand::Realign),
             said(OperatorCommand::Reset),
             self.by_itself(inputs).map(|event| (event, None)),
         ];
@@ -535,6 +536,7 @@ fn event_of(word: OperatorCommand) -> Event {
         OperatorCommand::Start => Event::Start,
         OperatorCommand::Hold | OperatorCommand::HoldHand => Event::Hold,
         OperatorCommand::Resume => Event::Resume,
+        OperatorCommand::Realign => Event::Realign,
         OperatorCommand::Stop => Event::Stop,
         OperatorCommand::Reset => Event::Reset,
     }

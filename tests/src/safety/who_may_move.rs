@@ -63,6 +63,8 @@ pub enum Word {
     HoldHand,
     /// Ends a hold.
     Resume,
+    /// Takes the pose of the hand anew: what may move does not change.
+    Realign,
     /// Stops both arms.
     Stop,
     /// Clears a stop or a fault.

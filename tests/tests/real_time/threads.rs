@@ -110,7 +110,7 @@ impl Estimate for Part<'_> {
         count(&self.0.estimated);
         let input = Self::input(&frame);
         let estimate = EstimateInput { at: input.at, confidence: Confidence::NoPose, covariance: None, target: 1 };
-        Ok((Percept { frame: input, estimate, observation: None }, frame))
+        Ok((Percept { frame: input, estimate, observation: None, surface_from_model: None }, frame))
     }
 }
 

@@ -563,6 +563,7 @@ fn word_of(word: OperatorCommand) -> Word {
         OperatorCommand::Hold => Word::Hold,
         OperatorCommand::HoldHand => Word::HoldHand,
         OperatorCommand::Resume => Word::Resume,
+        OperatorCommand::Realign => Word::Realign,
         OperatorCommand::Stop => Word::Stop,
         OperatorCommand::Reset => Word::Reset,
     }

@@ -204,7 +204,7 @@ impl OwnMotion {
 }
 
 /// Translation in metres and rotation in degrees.
-fn combined(t: f64) -> (Vector3<f64>, Vector3<f64>) {
+pub fn combined(t: f64) -> (Vector3<f64>, Vector3<f64>) {
     let wave = |size: f64, period_s: f64| size * (std::f64::consts::TAU * t / period_s).sin();
     let shift = Vector3::new(wave(0.05, 5.6), wave(0.035, 4.0), wave(0.05, 7.0));
     (shift, Vector3::new(wave(20.0, 4.0), wave(20.0, 5.6), wave(20.0, 7.0)))

@@ -28,7 +28,7 @@ const LINE_OVERLAP: usize = 64;
 const FILES_MAX: usize = 4;
 
 /// Part of the answer to an unknown command.
-const WORDS: &str = "use select, start, hold, hold hand, resume, stop, reset, status, help or quit";
+const WORDS: &str = "use select, start, hold, hold hand, resume, re-align, stop, reset, status, help or quit";
 
 /// Answer to `select` without a region, where the setup has no target.
 const NO_TARGET: &str = "select refused: the setup names no target (camera.region); mark one in the left image, for instance select \
@@ -301,10 +301,12 @@ impl Reading {
                 self.give(word, choice)
                     .unwrap_or_else(|| format!("{} is queued until both arms are enabled", word.name())),
             ),
-            OperatorCommand::Start | OperatorCommand::Resume | OperatorCommand::Reset => Some(format!(
-                "{} refused: both arms are still being enabled; repeat it when they are enabled",
-                word.name()
-            )),
+            OperatorCommand::Start | OperatorCommand::Resume | OperatorCommand::Realign | OperatorCommand::Reset => {
+                Some(format!(
+                    "{} refused: both arms are still being enabled; repeat it when they are enabled",
+                    word.name()
+                ))
+            }
         }
     }
 

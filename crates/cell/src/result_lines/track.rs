@@ -36,6 +36,12 @@ pub struct TrackLine {
     /// The same for the motion since the first pose, not contained in `covariance`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calibration_covariance_of_motion: Option<Vec<f64>>,
+    /// The visible surface beside `model`, as the frames so far show it: row-major homogeneous matrix, millimetres.
+    pub surface_from_model: Option<[f64; 16]>,
+    /// Covariance of `surface` against the visible surface, as `covariance`.
+    pub surface_covariance: Option<Vec<f64>>,
+    /// Number of frames that have improved it; 0: it is `model`.
+    pub surface_version: Option<u32>,
     /// Whether the images determine each direction of the pose, in the order of `covariance`; null if the method does not tell.
     pub observed: Option<[bool; 6]>,
     /// Agreement of the images, at most 1; eq. (10) for the published method.
@@ -77,6 +83,9 @@ impl TrackLine {
             pose_covariance: None,
             calibration_covariance: None,
             calibration_covariance_of_motion: None,
+            surface_from_model: None,
+            surface_covariance: None,
+            surface_version: None,
             observed: None,
             fitness: None,
             ms: None,
@@ -87,6 +96,7 @@ impl TrackLine {
 
     /// The line of an estimate.
     pub fn of(frame: usize, t_s: f64, estimate: &TrackEstimate, ms: f64) -> Self {
+        let surface = estimate.surface.as_ref();
         Self {
             status: estimate.status.as_str(),
             cam_left_from_model: estimate.cam_left_from_model.as_ref().map(row_major_mm),
@@ -95,6 +105,9 @@ impl TrackLine {
             pose_covariance: estimate.pose_covariance.as_ref().map(covariance_mm),
             calibration_covariance: estimate.calibration.map(|share| covariance_mm(&share.pose)),
             calibration_covariance_of_motion: estimate.calibration.map(|share| covariance_mm(&share.motion)),
+            surface_from_model: surface.map(|known| row_major_mm(&known.surface_from_model)),
+            surface_covariance: surface.map(|known| covariance_mm(&known.covariance)),
+            surface_version: surface.map(|known| known.version),
             observed: estimate.observed,
             fitness: estimate.fitness,
             ms: Some(ms),

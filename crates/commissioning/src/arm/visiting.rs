@@ -426,7 +426,7 @@ impl Estimate for Judging<'_> {
         let Self(resting) = self;
         let at = frame.frame.at;
         let estimate = EstimateInput { at, confidence: Confidence::NoPose, covariance: None, target: 0 };
-        let percept = Percept { frame: frame.frame, estimate, observation: None };
+        let percept = Percept { frame: frame.frame, estimate, observation: None, surface_from_model: None };
         let skew = Duration::from_secs_f64(frame.frame.skew_s.abs().min(1.0));
         let stop = resting.step.and_then(|step| step.rest).filter(|(_, since)| at >= *since + resting.exposure + skew);
         let (Some((stop, _)), Some(pair)) = (stop, pair_of(frame)) else {

@@ -1,5 +1,5 @@
 // @ts-check
-// The commands of the operator: lease, start, hold, resume, stop, reset, speed, and the offset of the desired pose.
+// The commands of the operator: lease, start, hold, resume, re-align, stop, reset, speed, and the offset of the desired pose.
 import "./types.js";
 import { writeWithCodes } from "./codes.js";
 import { post, releaseWhileClosing } from "./connection.js";
@@ -12,6 +12,7 @@ const COMMANDS = [
   { name: "hold", text: "Hold", needs: null, path: "/api/hold", seen: false },
   { name: "hold-hand", text: "Hold hand", needs: null, path: "/api/hold", seen: false },
   { name: "resume", text: "Resume", needs: "resume", path: "/api/resume", seen: true },
+  { name: "re-align", text: "Re-align", needs: "re-align", path: "/api/re-align", seen: true },
   { name: "reset", text: "Reset", needs: "reset", path: "/api/reset", seen: true },
 ];
 /** Two presses of Escape within this time stop both arms. */
@@ -188,6 +189,7 @@ export class Commands {
     if (!this.leads) return "take the command first";
     if (needs === null || state.may.includes(needs)) return null;
     if (name === "reset") return "only after a stop or a fault";
+    if (name === "re-align") return "only while the hand follows";
     if (state.is_moving) return "the arm moves already";
     if (state.is_latched) return "use Reset first";
     if (name === "start" && state.name === "idle") return "select a target first, also after Reset";

@@ -55,6 +55,7 @@ function showTarget(target, isIdle) {
     ["1 sigma, position", `${triple(target.sigma_mm, 3)} mm`],
     ["1 sigma, angles", `${triple(target.sigma_deg, 3)}°`],
     ["since the first pose", `${triple(target.motion_sigma_mm, 3)} mm; ${triple(target.motion_sigma_deg, 3)}°`],
+    ["Re-align moves the hand by", target.realign_mm === null ? "–" : `${fixed(target.realign_mm, 1)} mm, ${fixed(target.realign_deg, 2)}°`],
     ["fitness", fixed(target.fitness, 3)],
     ["age, computing", `${fixed(target.age_ms, 0)}, ${fixed(target.latency_ms, 1)} ms`],
   ];

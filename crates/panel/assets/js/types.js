@@ -24,6 +24,9 @@
  * @property {number[]|null} sigma_deg
  * @property {number[]|null} motion_sigma_mm
  * @property {number[]|null} motion_sigma_deg
+ * @property {number|null} surface_version
+ * @property {number|null} realign_mm
+ * @property {number|null} realign_deg
  * @property {number[]|null} error_mm
  * @property {number[]|null} error_deg
  */

@@ -137,6 +137,12 @@ pub struct TargetState {
     pub motion_sigma_mm: Option<Triple>,
     /// Standard deviation of the orientation since the first pose.
     pub motion_sigma_deg: Option<Triple>,
+    /// Number of pairs that have improved what is known of the visible surface.
+    pub surface_version: Option<u32>,
+    /// How far `re-align` would move the hand.
+    pub realign_mm: Option<f64>,
+    /// How far it would turn it.
+    pub realign_deg: Option<f64>,
     /// Error of the position along the axes of the model, where the truth is known.
     pub error_mm: Option<Triple>,
     /// Error of the orientation, where the truth is known.

@@ -210,7 +210,7 @@ fn chosen_by(hub: &Hub, request: SelectRequest) -> Result<Chosen, Refusal> {
     }
 }
 
-/// `start`, `resume` and `reset`: they may cause motion, or lead to it.
+/// `start`, `resume`, `re-align` and `reset`: they may cause motion, or lead to it.
 async fn leading(app: App, peer: Peer, request: Request, command: OperatorCommand) -> Answered {
     let asked = Asked::new(command.name(), &request, peer);
     asked.count(&app)?;
@@ -226,6 +226,11 @@ pub async fn start(State(app): State<App>, Extension(peer): Extension<Peer>, req
 /// `POST /api/resume`.
 pub async fn resume(State(app): State<App>, Extension(peer): Extension<Peer>, request: Request) -> Answered {
     leading(app, peer, request, OperatorCommand::Resume).await
+}
+
+/// `POST /api/re-align`.
+pub async fn realign(State(app): State<App>, Extension(peer): Extension<Peer>, request: Request) -> Answered {
+    leading(app, peer, request, OperatorCommand::Realign).await
 }
 
 /// `POST /api/reset`.

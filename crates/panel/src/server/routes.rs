@@ -39,6 +39,7 @@ pub fn router(hub: &Arc<Hub>) -> Router {
         .route("/api/select", post(commands::select))
         .route("/api/start", post(commands::start))
         .route("/api/resume", post(commands::resume))
+        .route("/api/re-align", post(commands::realign))
         .route("/api/reset", post(commands::reset))
         .route("/api/hold", post(commands::hold))
         .route("/api/stop", post(commands::stop))

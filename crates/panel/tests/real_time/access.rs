@@ -7,12 +7,13 @@ use pb3dp_panel::{About, Certificate, Panel, PanelConfig, Protection, TlsFiles};
 
 use crate::support::{Page, Rig, setup};
 
-const POSTS: [&str; 13] = [
+const POSTS: [&str; 14] = [
     "lease",
     "heartbeat",
     "select",
     "start",
     "resume",
+    "re-align",
     "reset",
     "hold",
     "stop",

@@ -22,6 +22,7 @@ fn without_the_lease_only_stop_is_obeyed() {
         ("select", json!({ "region": "rect:200,150,120,90", "seen": seen })),
         ("start", json!({ "seen": seen })),
         ("resume", json!({ "seen": seen })),
+        ("re-align", json!({ "seen": seen })),
         ("reset", json!({ "seen": seen })),
         ("hold", json!({})),
         ("speed", json!({ "percent": 10, "seen": seen })),
@@ -52,6 +53,8 @@ fn a_target_is_selected_started_held_resumed_and_stopped() {
     client.wait_for("ready", |state| state["state"]["is_ready"] == true && state["state"]["name"] == "holding");
     let reply = client.post("resume", &with_seen(&client));
     assert_eq!((reply.status, reply.json()["line"].as_str()), (200, Some("resume: approaching")), "{}", reply.body);
+    let reply = client.post("re-align", &with_seen(&client));
+    assert_eq!((reply.status, reply.json()["line"].as_str()), (200, Some("re-align: approaching")), "{}", reply.body);
     assert_eq!(client.post("stop", "{}").status, 200);
     assert_eq!(rig.state(), State::Stopped);
     client.wait_for("stopped", |state| state["state"]["name"] == "stopped" && state["state"]["is_latched"] == true);

@@ -324,6 +324,7 @@ impl Loop {
             at,
             observed: None,
             base_from_model: None,
+            model_from_surface: Pose::coincident(),
             mode: Mode::Approaching,
             decision,
             vs_joints: JointState { at, position_rad: self.start_rad, velocity_rad_per_s: still },

@@ -445,10 +445,11 @@ impl Replay<'_> {
         }
         self.script.load(&step, t_s)?;
         let at = MonotonicTime::from_nanos(step.at_nanos);
-        if let Some(observed) = step.observed.first() {
-            let replayed = self.percepts.remove(&observed.sequence);
-            self.percepts.retain(|sequence, _| *sequence > observed.sequence);
-            self.moving.observe(replayed.map_or_else(|| percept(observed), Ok)?, at);
+        if let Some(recorded) = percept(&step)? {
+            let sequence = recorded.frame.sequence;
+            let replayed = self.percepts.remove(&sequence);
+            self.percepts.retain(|other, _| *other > sequence);
+            self.moving.observe(replayed.unwrap_or(recorded), at);
         }
         let outcome = self.moving.step(at);
         self.script.end_step(outcome.is_err() && !step.finished)?;

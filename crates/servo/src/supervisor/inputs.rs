@@ -69,6 +69,8 @@ pub enum OperatorCommand {
     HoldHand,
     /// Continue after a hold.
     Resume,
+    /// Take the pose relative to the visible surface as it is known now.
+    Realign,
     /// Stop both arms.
     Stop,
     /// Clear the latched state.
@@ -77,8 +79,8 @@ pub enum OperatorCommand {
 
 impl OperatorCommand {
     /// All commands.
-    pub const ALL: [Self; 7] =
-        [Self::Select, Self::Start, Self::Hold, Self::HoldHand, Self::Resume, Self::Stop, Self::Reset];
+    pub const ALL: [Self; 8] =
+        [Self::Select, Self::Start, Self::Hold, Self::HoldHand, Self::Resume, Self::Realign, Self::Stop, Self::Reset];
 
     /// Name of the command.
     pub fn name(self) -> &'static str {
@@ -88,6 +90,7 @@ impl OperatorCommand {
             Self::Hold => "hold",
             Self::HoldHand => "hold hand",
             Self::Resume => "resume",
+            Self::Realign => "re-align",
             Self::Stop => "stop",
             Self::Reset => "reset",
         }

@@ -34,6 +34,8 @@ pub enum Event {
     Hold,
     /// Command: continue after a hold.
     Resume,
+    /// Command: take the pose relative to the visible surface as it is known now.
+    Realign,
     /// Command: stop both arms.
     Stop,
     /// Command: clear the latched state.
@@ -135,11 +137,12 @@ impl fmt::Display for State {
 
 impl Event {
     /// All events, in the order of the table.
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 18] = [
         Self::Select,
         Self::Start,
         Self::Hold,
         Self::Resume,
+        Self::Realign,
         Self::Stop,
         Self::Reset,
         Self::Reached,
@@ -162,6 +165,7 @@ impl Event {
             Self::Start => "start",
             Self::Hold => "hold",
             Self::Resume => "resume",
+            Self::Realign => "re-align",
             Self::Stop => "stop",
             Self::Reset => "reset",
             Self::Reached => "reached",
@@ -201,16 +205,16 @@ pub fn outcome(state: State, event: Event) -> Outcome {
     const LOST: Outcome = To(State::Lost, Order::Rearm);
     const STOP: Outcome = To(State::Stopped, Order::RearmAndStop);
     const F: Outcome = To(State::Fault, Order::RearmAndStop);
-    const TABLE: [[Outcome; 17]; 8] = [
-        // Select Start Hold  Resume Stop  Reset Reached Left  CauseGone TargetFound StallFound StallOver StallFailed HoldFound LossFound StopFound FaultFound
-        [SEL,     N,    Stay, N,     STOP, Stay, Stay,   Stay, Stay,     Stay,       Stay,      Stay,     Stay,       Stay,     Stay,     STOP,     F],    // Idle
-        [SEL,     APP,  Stay, N,     STOP, Stay, Stay,   Stay, Stay,     Stay,       Stay,      Stay,     Stay,       Stay,     Stay,     STOP,     F],    // Selecting
-        [N,       Stay, HOLD, Stay,  STOP, Stay, TRA,    Stay, Stay,     Stay,       STALL,     Stay,     Stay,       HOLD,     LOST,     STOP,     F],    // Approaching
-        [N,       Stay, HOLD, Stay,  STOP, Stay, Stay,   APP,  Stay,     Stay,       STALL,     Stay,     Stay,       HOLD,     LOST,     STOP,     F],    // Tracking
-        [SEL,     N,    Stay, APP,   STOP, Stay, Stay,   Stay, APP,      Stay,       Stay,      APP,      HOLD,       Stay,     LOST,     STOP,     F],    // Holding
-        [SEL,     N,    Stay, APP,   STOP, Stay, Stay,   Stay, Stay,     APP,        Stay,      Stay,     Stay,       Stay,     Stay,     STOP,     F],    // Lost
-        [N,       N,    Stay, N,     Stay, IDLE, Stay,   Stay, Stay,     Stay,       Stay,      Stay,     Stay,       Stay,     Stay,     Stay,     F],    // Stopped
-        [N,       N,    Stay, N,     Stay, IDLE, Stay,   Stay, Stay,     Stay,       Stay,      Stay,     Stay,       Stay,     Stay,     Stay,     Stay], // Fault
+    const TABLE: [[Outcome; 18]; 8] = [
+        // Select Start Hold  Resume Realign Stop  Reset Reached Left  CauseGone TargetFound StallFound StallOver StallFailed HoldFound LossFound StopFound FaultFound
+        [SEL,     N,    Stay, N,     N,      STOP, Stay, Stay,   Stay, Stay,     Stay,       Stay,      Stay,     Stay,       Stay,     Stay,     STOP,     F],    // Idle
+        [SEL,     APP,  Stay, N,     N,      STOP, Stay, Stay,   Stay, Stay,     Stay,       Stay,      Stay,     Stay,       Stay,     Stay,     STOP,     F],    // Selecting
+        [N,       Stay, HOLD, Stay,  APP,    STOP, Stay, TRA,    Stay, Stay,     Stay,       STALL,     Stay,     Stay,       HOLD,     LOST,     STOP,     F],    // Approaching
+        [N,       Stay, HOLD, Stay,  APP,    STOP, Stay, Stay,   APP,  Stay,     Stay,       STALL,     Stay,     Stay,       HOLD,     LOST,     STOP,     F],    // Tracking
+        [SEL,     N,    Stay, APP,   N,      STOP, Stay, Stay,   Stay, APP,      Stay,       Stay,      APP,      HOLD,       Stay,     LOST,     STOP,     F],    // Holding
+        [SEL,     N,    Stay, APP,   N,      STOP, Stay, Stay,   Stay, Stay,     APP,        Stay,      Stay,     Stay,       Stay,     Stay,     STOP,     F],    // Lost
+        [N,       N,    Stay, N,     N,      Stay, IDLE, Stay,   Stay, Stay,     Stay,       Stay,      Stay,     Stay,       Stay,     Stay,     Stay,     F],    // Stopped
+        [N,       N,    Stay, N,     N,      Stay, IDLE, Stay,   Stay, Stay,     Stay,       Stay,      Stay,     Stay,       Stay,     Stay,     Stay,     Stay], // Fault
     ];
     TABLE[state as usize][event as usize]
 }
