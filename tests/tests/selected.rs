@@ -70,10 +70,16 @@ impl Script {
         match self.selected {
             1 => {
                 let (pair, region) = seen.pairs.front().unwrap().clone();
-                Selection { region, drawn_on: Some(pair) }
+                Selection { region, drawn_on: Some(pair), model: None }
             }
-            2 => Selection { region: Region::Rectangle { x: 330, y: 200, width: 60, height: 80 }, drawn_on: None },
-            _ => Selection { region: Region::Rectangle { x: 5, y: 5, width: 2, height: 1 }, drawn_on: None },
+            2 => Selection {
+                region: Region::Rectangle { x: 330, y: 200, width: 60, height: 80 },
+                drawn_on: None,
+                model: None,
+            },
+            _ => {
+                Selection { region: Region::Rectangle { x: 5, y: 5, width: 2, height: 1 }, drawn_on: None, model: None }
+            }
         }
     }
 }

@@ -283,5 +283,9 @@ message! {
         surface_covariance: Later<f64>,
         /// Number of pairs that have improved it.
         surface_version: Later<u32>,
+        /// The frame `model` that a chosen target had before, in the pair on which it was drawn.
+        chosen_model: Later<f64>,
+        /// Covariance of the pose that defined it.
+        chosen_model_covariance: Later<f64>,
     }
 }

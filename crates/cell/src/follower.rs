@@ -4,7 +4,7 @@ use pb3dp_estimation::estimator::{FramePrior, Method, Tracker};
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::image_view::ImageView;
-use pb3dp_estimation_core::method::EstimateRequest;
+use pb3dp_estimation_core::method::{EstimateRequest, KnownModel};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
@@ -24,12 +24,14 @@ pub struct Follower {
     range: SearchRange,
     /// The marked region, and the number of pairs in which initialisation failed.
     marked: Option<(Region, u32)>,
+    /// The frame `model` of the next target, in the pair in which it is initialised.
+    model: Option<KnownModel>,
 }
 
 impl Follower {
     /// A follower with the search range `range`.
     pub fn new(tracker: Tracker, range: SearchRange) -> Self {
-        Self { tracker, range, marked: None }
+        Self { tracker, range, marked: None, model: None }
     }
 
     /// A follower with the cameras and the parameters of a setup.
@@ -49,6 +51,11 @@ impl Follower {
     /// Drops the target.
     pub fn forget(&mut self) {
         self.marked = None;
+    }
+
+    /// The next target had this frame `model` in the pair in which it will be initialised.
+    pub fn restore(&mut self, model: Option<KnownModel>) {
+        self.model = model;
     }
 
     /// For pairs whose skew is stated, see [`Tracker::check_skew`].
@@ -86,8 +93,10 @@ impl Follower {
     ) -> Result<TrackEstimate, EstimationError> {
         let (left, right) = (left.into(), right.into());
         if let Some(region) = region {
+            let model = self.model.take();
             let estimate = self.tracker.estimate(
                 EstimateRequest::of_target(left, right, region, &self.range)
+                    .with_model(model.as_ref())
                     .with_skew(prior.skew_s)
                     .until(may_continue),
             )?;

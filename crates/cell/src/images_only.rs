@@ -115,6 +115,7 @@ impl ImagesOnly {
         prior: &FramePrior,
     ) -> Result<TrackEstimate, EstimationError> {
         let drawn_on = selection.drawn_on.as_deref().filter(|drawn_on| drawn_on.sequence != pair.sequence);
+        self.follower.restore(selection.model.as_deref().filter(|_| selection.drawn_on.is_some()).copied());
         let (first, region) = (drawn_on.unwrap_or(pair), Some(&selection.region));
         let started = self.follower.look(&first.left, &first.right, region, &FramePrior::default(), &mut || true)?;
         if drawn_on.is_some() { self.track(pair, prior) } else { Ok(started) }

@@ -256,7 +256,7 @@ impl<'a> Estimating<'a> {
         match marked {
             Ok(region) => {
                 self.is_of_setup = true;
-                let selection = Selection { region, drawn_on: None };
+                let selection = Selection { region, drawn_on: None, model: None };
                 let (estimate, prior) = self.select(&selection, captured);
                 (Some(selection.region), estimate, prior)
             }
@@ -271,10 +271,11 @@ impl<'a> Estimating<'a> {
 
     /// Starts with a target that the operator has selected. A region that the method refuses does not end the run: there is no target then.
     fn select(&mut self, selection: &Selection, captured: &Captured) -> (TrackEstimate, FramePrior) {
-        let Selection { region, drawn_on } = selection;
+        let Selection { region, drawn_on, model } = selection;
         self.target += 1;
         let mut estimate = match drawn_on {
             Some(pair) => {
+                self.cameras.restore(model.as_deref().copied());
                 let view = View::Images(Arc::clone(pair));
                 self.previous = Some((pair.exposed_at, self.base_from_cam_left_at(pair.exposed_at)));
                 self.cameras.estimate(&view, Some(region), &FramePrior::of_skew(pair.skew_s()))
@@ -374,7 +375,7 @@ mod tests {
             assert!(seen.target == 0 || seen.estimate.status == Status::Ok, "{:?}", seen.estimate);
             (seen.target, x, seen.estimate.cam_left_from_model.is_some())
         };
-        let other = || Choice::Marked(Selection { region: rectangle(350), drawn_on: None });
+        let other = || Choice::Marked(Selection { region: rectangle(350), drawn_on: None, model: None });
         assert_eq!(look(1, None), (0, None, false), "no target yet");
         assert_eq!(look(2, Some(other())), (1, Some(350), true));
         assert_eq!(look(3, Some(Choice::OfSetup)), (2, Some(200), true));

@@ -8,6 +8,7 @@ use nalgebra::Matrix6;
 use nalgebra::Point3;
 use pb3dp_estimation::estimator::FramePrior;
 use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_estimation_core::method::KnownModel;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::Pose;
@@ -147,6 +148,13 @@ impl Perception {
         if let Self::Images(follower, marking) = self {
             follower.forget();
             *marking = Marking::Awaited;
+        }
+    }
+
+    /// The next target had this frame `model` in the pair in which it will be initialised.
+    pub fn restore(&mut self, model: Option<KnownModel>) {
+        if let Self::Images(follower, _) = self {
+            follower.restore(model);
         }
     }
 

@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
+use pb3dp_estimation_core::method::KnownModel;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_hal_api::FramePair;
 
@@ -17,6 +18,8 @@ pub struct Selection {
     /// The pair on which the operator drew; the method starts with it and finds the target again in the next pair. Without it the method
     /// starts with the next pair.
     pub drawn_on: Option<Arc<FramePair>>,
+    /// The frame `model` of a target that was followed before, in the pair `drawn_on`: it is restored.
+    pub model: Option<Box<KnownModel>>,
 }
 
 /// What a `select` chooses.
@@ -132,7 +135,11 @@ mod tests {
     use super::*;
 
     fn marked(x: i32) -> Choice {
-        Choice::Marked(Selection { region: Region::Rectangle { x, y: 0, width: 5, height: 5 }, drawn_on: None })
+        Choice::Marked(Selection {
+            region: Region::Rectangle { x, y: 0, width: 5, height: 5 },
+            drawn_on: None,
+            model: None,
+        })
     }
 
     fn taken(selections: &Selections) -> Option<i32> {

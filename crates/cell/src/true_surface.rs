@@ -9,7 +9,7 @@
 use std::collections::VecDeque;
 
 use anyhow::Result;
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_estimation_core::model_frame::model_frame_on_plane;
 use pb3dp_estimation_core::region::{Region, RegionConfig, RegionMask};
 use pb3dp_geometry::Pose;
@@ -66,7 +66,7 @@ impl TrueSurface {
         if let Some(region) = region {
             let selection = match chosen {
                 Some(Choice::Marked(selection)) => selection.clone(),
-                _ => Selection { region: region.clone(), drawn_on: None },
+                _ => Selection { region: region.clone(), drawn_on: None, model: None },
             };
             self.target_from_plane = self.plane(&selection, captured);
         }
@@ -95,6 +95,13 @@ impl TrueSurface {
         let ray = camera.unproject(&region.centroid_px()?).ok()?;
         model_frame_on_plane(ray / plane.dot(&ray), &-plane.normalize())
     }
+}
+
+/// A frame on a plane, turned about its normal until its x axis is that of another frame.
+pub fn turned_as(pose: &Pose<CamLeft, Model>, like: &Pose<CamLeft, Model>) -> Pose<CamLeft, Model> {
+    let x = pose.inverse().transform_vector(&like.transform_vector(&Vector3::x()));
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), x.y.atan2(x.x));
+    *pose * Pose::<Model, Model>::from_parts(Vector3::zeros(), turn)
 }
 
 /// True pose of the model frame: on the true plane, on the ray of the estimated origin.

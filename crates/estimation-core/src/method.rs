@@ -2,7 +2,7 @@
 
 use std::fmt::Debug;
 
-use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Matrix6, Point3, UnitQuaternion, Vector2, Vector3};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
 
@@ -36,6 +36,17 @@ pub struct MarkedTarget<'a> {
     pub region: &'a Region,
     /// Depths and tilts to search.
     pub range: &'a SearchRange,
+    /// The frame `model` that the target had before; without it, this pair defines it. Methods that only follow planes ignore it.
+    pub model: Option<&'a KnownModel>,
+}
+
+/// The frame `model` of a target that was followed before, in the pair in which it is marked again.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct KnownModel {
+    /// Its pose in this pair.
+    pub cam_left_from_model: Pose<CamLeft, Model>,
+    /// Covariance of the pose that defined it, against the visible surface.
+    pub first_pose_covariance: Matrix6<f64>,
 }
 
 /// Prior knowledge of the caller about a frame.
@@ -141,7 +152,7 @@ impl<'a> EstimateRequest<'a> {
         region: &'a Region,
         range: &'a SearchRange,
     ) -> Self {
-        let target = Some(MarkedTarget { region, range });
+        let target = Some(MarkedTarget { region, range, model: None });
         let (left, right) = (left.into(), right.into());
         Self { left, right, target, prior: FramePrior::default(), deadline: Deadline::default() }
     }
@@ -150,6 +161,13 @@ impl<'a> EstimateRequest<'a> {
     pub fn of_next(left: impl Into<ImageView<'a>>, right: impl Into<ImageView<'a>>, prior: &FramePrior) -> Self {
         let (left, right) = (left.into(), right.into());
         Self { left, right, target: None, prior: *prior, deadline: Deadline::default() }
+    }
+
+    /// Adds the frame `model` that a new target had before, if it had one.
+    #[must_use]
+    pub fn with_model(mut self, model: Option<&'a KnownModel>) -> Self {
+        self.target = self.target.map(|target| MarkedTarget { model, ..target });
+        self
     }
 
     /// Adds the skew of the pair, see [`FramePrior::skew_s`]: that of a new target's first pair.

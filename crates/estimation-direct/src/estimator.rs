@@ -178,7 +178,7 @@ impl DirectEstimator {
     /// # Errors
     /// As [`EstimationMethod::estimate`].
     pub fn plane(&mut self, request: &mut EstimateRequest<'_>) -> Result<PlaneEstimate, EstimationError> {
-        let MarkedTarget { region, range } = request.marked()?;
+        let MarkedTarget { region, range, .. } = request.marked()?;
         let EstimateRequest { left, right, ref mut deadline, .. } = *request;
         range.validate()?;
         self.front_end.check(left, right)?;
@@ -235,7 +235,7 @@ impl DirectEstimator {
 
     /// The pixels of the visible surface, the distance of neighbours, and the view that they belong to.
     fn shape(&mut self, request: &EstimateRequest<'_>) -> Result<(Vec<ShapePixel>, f64, RawView), EstimationError> {
-        let MarkedTarget { region, range } = request.marked()?;
+        let MarkedTarget { region, range, .. } = request.marked()?;
         let EstimateRequest { left, right, .. } = *request;
         range.validate()?;
         self.front_end.check(left, right)?;

@@ -203,7 +203,7 @@ impl EstimationMethod for PublishedEstimator {
 
     /// Estimates the plane of a region in one pair of raw images, without a start value: the whole range is searched.
     fn answer(&mut self, request: &mut EstimateRequest<'_>) -> Result<PlaneEstimate, EstimationError> {
-        let MarkedTarget { region, range } = request.marked()?;
+        let MarkedTarget { region, range, .. } = request.marked()?;
         let EstimateRequest { left, right, ref mut deadline, .. } = *request;
         range.validate()?;
         let taken = self.core.take(left, right, region)?;

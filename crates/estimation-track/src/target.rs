@@ -4,13 +4,13 @@ mod ending;
 mod exposures;
 mod lost;
 mod periodic;
+mod placing;
 mod surface_evidence;
 mod twins;
 
-use nalgebra::{Isometry3, Matrix3, Matrix6, Matrix6x3, Point3, Vector2, Vector3};
+use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector2};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::wide::LANES;
-use pb3dp_estimation_direct::estimator::SurfacePlane;
 use pb3dp_estimation_direct::image_plane::PixelWindow;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Camera, Pose, StereoRig};
@@ -29,7 +29,7 @@ use super::reach::{Sighting, near_m};
 use super::search::{Searcher, mirrored};
 use super::shape::Shares;
 use super::stereo_relief;
-use super::surface::{Surface, model_frame};
+use super::surface::Surface;
 use super::view::View;
 pub(super) use ending::Ending;
 use pb3dp_estimation_core::method::{FramePrior, SurfacePoint};
@@ -73,9 +73,6 @@ const FOUND_AGAIN_STRICTER: f64 = 1.25;
 const PATCH_SIGMA_MIN: f64 = 0.5;
 const PATCH_SIGMA_MAX: f64 = 30.0;
 const PATCH_SIGMA_RATE: f64 = 0.2;
-
-/// Largest difference of the distances of two planes of one surface. Chosen by hand, not varied: 25 mm at half a metre.
-const SAME_SURFACE_SHARE: f64 = 0.05;
 
 /// Input of a frame.
 pub(super) struct Frame<'a> {
@@ -127,20 +124,6 @@ pub(super) struct Target {
     pub(super) first_pose_covariance_at_rest: Option<Matrix6<f64>>,
     /// Time between the exposures of the first pair, as long as the motion in it is not known, seconds.
     pub(super) first_skew_s: Option<f64>,
-}
-
-/// Derivatives `[rho; phi]` of a frame on an inverse-depth plane, with its origin on a fixed ray, by the plane. A turn about its normal is none.
-fn frame_by_plane(plane: &Vector3<f64>, cam_left_from_model: &Pose<CamLeft, Model>) -> Matrix6x3<f64> {
-    let origin = cam_left_from_model.translation_m();
-    let turn = cam_left_from_model.rotation().to_rotation_matrix().transpose();
-    // The origin moves along its ray by -dq . origin of its distance, and z of the frame by dq / |q| across itself.
-    let shift = -(turn * origin) * origin.transpose();
-    let across = turn.matrix() / plane.norm();
-    let mut by_plane = Matrix6x3::zeros();
-    by_plane.fixed_view_mut::<3, 3>(0, 0).copy_from(&shift);
-    by_plane.row_mut(3).copy_from(&-across.row(1));
-    by_plane.row_mut(4).copy_from(&across.row(0));
-    by_plane
 }
 
 impl Target {
@@ -229,55 +212,6 @@ impl Target {
     /// Whether it has a relief, be it a small one.
     pub(super) fn has_relief(&self) -> bool {
         has_relief(&self.surface, self.first_pair())
-    }
-
-    /// Moves the frame `model` onto the plane of the refined surface, in the first pair. For a plane that was only a start value:
-    /// the refined one is more accurate, and the covariance is that of the refined one.
-    pub(super) fn settle_on_plane(&mut self, frame: &Frame<'_>) {
-        let plane = self.surface.plane;
-        if self.place_frame(&plane).is_none() {
-            return;
-        }
-        self.estimate.cam_left_from_model = self.motion.cam_left_from_model;
-        if let Some(equations) = self.examine(frame, false) {
-            self.judge();
-            self.conclude(&equations, false);
-        }
-    }
-
-    /// Moves the frame `model` of a curved target onto the plane of its visible surface, in the first pair. The covariance contains that of this
-    /// plane then. A surface elsewhere is another one than that of the target.
-    pub(super) fn settle_on_surface(&mut self, frame: &Frame<'_>, surface: &SurfacePlane) {
-        let SurfacePlane { inverse_depth_plane: plane, covariance: of_plane } = surface;
-        let apart = 1.0 - plane.dot(&self.estimate.cam_left_from_model.translation_m());
-        if apart.abs() > SAME_SURFACE_SHARE || self.place_frame(plane).is_none() {
-            return;
-        }
-        self.estimate.cam_left_from_model = self.motion.cam_left_from_model;
-        if let Some(equations) = self.examine(frame, false) {
-            self.judge();
-            self.conclude(&equations, false);
-        }
-        self.is_on_surface = true;
-        let by_plane = frame_by_plane(plane, &self.estimate.cam_left_from_model);
-        if let Some(covariance) = &mut self.covariance {
-            *covariance += by_plane * of_plane * by_plane.transpose();
-        }
-    }
-
-    /// Moves the frame `model` onto a plane in the first pair, and expresses everything but the estimate in it. Maps the old frame to the
-    /// new one.
-    fn place_frame(&mut self, plane: &Vector3<f64>) -> Option<Pose<Model, Model>> {
-        let before = self.views[0].cam_left_from_model;
-        let centre_ray = before.translation_m() / before.translation_m().z;
-        let pose = model_frame(plane, &centre_ray)?;
-        let after_from_before = pose.inverse() * before;
-        self.surface.model_from_first = pose.inverse();
-        self.surface.rebuild();
-        self.outline_in_model.iter_mut().for_each(|point| *point = after_from_before.transform_point(point));
-        self.views[0].cam_left_from_model = pose;
-        self.motion = Motion::resting(pose);
-        Some(after_from_before)
     }
 
     /// The points of the surface, with their colours in the first view.

@@ -10,7 +10,9 @@ use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_image_sizes};
 use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose, TrackEstimate};
 use pb3dp_estimation_core::image_view::ImageView;
-use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, FramePrior, MarkedTarget, SurfacePoint};
+use pb3dp_estimation_core::method::{
+    EstimateRequest, EstimationMethod, FramePrior, KnownModel, MarkedTarget, SurfacePoint,
+};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::{Region, RegionConfig, RegionMask};
 use pb3dp_estimation_core::rig_errors::RigErrors;
@@ -129,7 +131,7 @@ impl DirectTracker {
     /// region has a relief, and plane and relief together explain both images. The relief is always estimated, whatever the
     /// deadline.
     fn start(&mut self, request: &mut EstimateRequest<'_>) -> Result<TrackEstimate, EstimationError> {
-        let MarkedTarget { region, range } = request.marked()?;
+        let MarkedTarget { region, range, model } = request.marked()?;
         let (left, right) = (request.left, request.right);
         self.target = None;
         self.was_started = true;
@@ -143,7 +145,7 @@ impl DirectTracker {
         let sure = found.pose.filter(|_| found.status.depth_is_sure());
         let Some(plane) = sure.or_else(|| self.unsure_plane(&found)) else { return Ok(refused) };
         let has_time = request.deadline.may_continue();
-        let mut estimate = self.begin((left, right), region, &plane, has_time.then_some(&*request))?;
+        let mut estimate = self.begin((left, right), region, &plane, (has_time.then_some(&*request), model))?;
         estimate.warnings.splice(0..0, refused.warnings.iter().cloned());
         if sure.is_none() {
             let is_solid = estimate.status.depth_is_sure() && self.target.as_ref().is_some_and(Target::is_a_surface);
@@ -197,16 +199,17 @@ impl DirectTracker {
         region: &Region,
         plane: &PlanePose,
     ) -> Result<TrackEstimate, EstimationError> {
-        self.begin((left.into(), right.into()), region, plane, None)
+        self.begin((left.into(), right.into()), region, plane, (None, None))
     }
 
-    /// As [`Self::start_from_plane`]. `request`: the frame of a target that is no plane is that of its visible surface.
+    /// As [`Self::start_from_plane`]. `request`: the frame of a target that is no plane is that of its visible surface. `known`: the one that it
+    /// had before.
     fn begin(
         &mut self,
         (left, right): (ImageView<'_>, ImageView<'_>),
         region: &Region,
         plane: &PlanePose,
-        request: Option<&EstimateRequest<'_>>,
+        (request, known): (Option<&EstimateRequest<'_>>, Option<&KnownModel>),
     ) -> Result<TrackEstimate, EstimationError> {
         self.target = None;
         self.was_started = true;
@@ -245,10 +248,15 @@ impl DirectTracker {
             // The part's plane was fitted to a relief that spans several surfaces.
             target.settle_on_plane(&self.frame());
         }
+        let mut seen = None;
         if let Some(request) = request.filter(|_| target.has_relief())
             && let Ok(Some(plane)) = self.estimator.plane_of_surface(request)
         {
             target.settle_on_surface(&self.frame(), &plane);
+            seen = Some(plane);
+        }
+        if let Some(known) = known {
+            target.restore_model(&self.frame(), known, seen.filter(|_| target.is_on_surface).as_ref());
         }
         self.load_both(left, right);
         let frame = self.frame();

@@ -279,6 +279,8 @@ pub struct Tracker {
     calibration: Option<Box<CalibrationTerm>>,
     /// The first pair of the target, and their share in its pose.
     first_pair: Option<(FirstPair, Option<Matrix6<f64>>)>,
+    /// Whether the frame `model` of the target was defined before; the covariance of the first pose has the share of the calibration then.
+    is_restored: bool,
 }
 
 /// Rows show errors of the rig only if both cameras expose at once, to this time, seconds: at 100 mm/s and 0.5 m rows differ by 0.15 px.
@@ -351,6 +353,7 @@ impl Tracker {
             is_told_unchecked: false,
             calibration: None,
             first_pair: None,
+            is_restored: false,
         })
     }
 
@@ -415,6 +418,9 @@ impl Tracker {
         }
         let mut estimate = self.inner.answer(&mut request)?;
         if is_new {
+            let known = request.target.and_then(|target| target.model);
+            self.is_restored =
+                known.is_some_and(|known| estimate.cam_left_from_model == Some(known.cam_left_from_model));
             (self.steps, self.is_told_unchecked) = (Steps::default(), false);
         }
         let has_jumped = self.steps.has_jumped(&estimate, dt_s);
@@ -452,7 +458,9 @@ impl Tracker {
             self.first_pair = None;
         }
         estimate.pose_covariance = match (estimate.covariance, estimate.first_pose_covariance) {
-            (Some(of_motion), Some(of_first)) => Some(if is_new { of_first } else { of_first + of_motion }),
+            (Some(of_motion), Some(of_first)) => {
+                Some(if is_new && !self.is_restored { of_first } else { of_first + of_motion })
+            }
             _ => None,
         };
         let (Some(term), Some(pose)) = (&self.calibration, estimate.cam_left_from_model) else { return };
@@ -469,6 +477,9 @@ impl Tracker {
             *to = to.zip(share).map(|(to, share)| to + share)
         };
         add(&mut estimate.pose_covariance, estimate.calibration.map(|share| share.pose));
+        if self.is_restored {
+            return;
+        }
         add(&mut estimate.first_pose_covariance, *share_of_first);
         if let (Some(surface), Some(share)) = (&mut estimate.surface, share_of_first) {
             surface.covariance += share;

@@ -5,14 +5,69 @@ use nalgebra::Matrix6;
 use pb3dp_estimation::calibration_term::CalibrationTerm;
 use pb3dp_estimation::estimator::{EstimatorConfig, Method, Tracker};
 use pb3dp_estimation_core::estimate::{SurfaceEstimate, TrackEstimate};
-use pb3dp_estimation_core::method::{EstimateRequest, FramePrior};
+use pb3dp_estimation_core::method::{EstimateRequest, FramePrior, KnownModel};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::Pose;
 
 use crate::moving_plane::{Shot, general_rig, moving, region, render};
 
 const FPS: f64 = 30.0;
 const FRAMES: u32 = 5;
+
+/// A target that was followed to the last frame, marked there again after another one, and followed to the next frame, beside the same target
+/// that was never left.
+#[test]
+fn a_target_that_is_marked_again_has_its_model_from_before() {
+    let rig = general_rig();
+    let range = SearchRange { z_min_m: 0.3, z_max_m: 0.7, tilt_max_rad: 0.8 };
+    let images = |frame: u32| {
+        let t_s = f64::from(frame) / FPS;
+        render(&rig, &Shot { cam_left_from_target: Some(moving(t_s)), frame, right_gain: 1.0 })
+    };
+    let prior = FramePrior { dt_s: Some(1.0 / FPS), ..FramePrior::default() };
+    let mut tracker = Tracker::new(Method::Direct, &rig, &EstimatorConfig::default()).expect("tracker");
+    let mut estimate = |frame: u32, marked: Option<(&Region, Option<&KnownModel>)>| {
+        let (left, right) = images(frame);
+        tracker
+            .estimate(match marked {
+                Some((region, model)) => EstimateRequest::of_target(&left, &right, region, &range).with_model(model),
+                None => EstimateRequest::of_next(&left, &right, &prior),
+            })
+            .expect("valid images")
+    };
+    let first = estimate(0, Some((&region(&rig, &moving(0.0)), None)));
+    let seen: Vec<TrackEstimate> = (1..=8).map(|frame| estimate(frame, None)).collect();
+    let known = KnownModel {
+        cam_left_from_model: seen[6].cam_left_from_model.expect("a pose"),
+        first_pose_covariance: first.first_pose_covariance.expect("a covariance"),
+    };
+    // A part of the target: its own model would have another origin.
+    let Region::Polygon { mut vertices_px } = region(&rig, &moving(7.0 / FPS)) else { panic!("a polygon") };
+    let middle = vertices_px.iter().sum::<nalgebra::Vector2<f64>>() / vertices_px.len() as f64;
+    vertices_px.iter_mut().for_each(|vertex| *vertex += (middle - *vertex) * 0.25 + nalgebra::Vector2::new(6.0, 4.0));
+    let part = Region::Polygon { vertices_px };
+    let anew = estimate(7, Some((&part, None))).cam_left_from_model.expect("a pose");
+    assert!((anew.translation_m() - known.cam_left_from_model.translation_m()).norm() > 2e-3, "{anew:?}");
+    let again = estimate(7, Some((&part, Some(&known))));
+    assert_eq!(again.cam_left_from_model, Some(known.cam_left_from_model));
+    assert_eq!(again.first_pose_covariance, Some(known.first_pose_covariance));
+    let next = estimate(8, None);
+    let [one, other] = [&next, &seen[7]].map(|estimate| estimate.cam_left_from_model.expect("a pose"));
+    let apart = one.inverse() * other;
+    assert!(apart.translation_m().norm() < 2e-4 && apart.rotation_angle_rad() < 4e-3, "{apart:?}");
+    assert_eq!(next.first_pose_covariance, Some(known.first_pose_covariance));
+    // Another object at another distance has no model from before.
+    let far = KnownModel {
+        cam_left_from_model: Pose::from_parts(
+            known.cam_left_from_model.translation_m() * 1.3,
+            known.cam_left_from_model.rotation(),
+        ),
+        ..known
+    };
+    let other = estimate(7, Some((&part, Some(&far)))).cam_left_from_model.expect("a pose");
+    assert!((other.translation_m() - anew.translation_m()).norm() < 1e-4, "{other:?} {anew:?}");
+}
 
 /// Frames of a target that moves in six directions, whose right image is exposed later by a skew that is known.
 fn tracked(term: Option<CalibrationTerm>, skew_s: f64) -> Vec<TrackEstimate> {

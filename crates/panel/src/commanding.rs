@@ -4,6 +4,7 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use pb3dp_cell::selection::{Choice, Selection};
+use pb3dp_estimation_core::method::KnownModel;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::Pose;
@@ -209,7 +210,7 @@ impl Hub {
 
 impl Hub {
     /// Keeps the present view of the followed target, if it has a name: chosen again later, the target is searched for as it was last seen
-    /// well, not as it was seen from where the hand began.
+    /// well, not as it was seen from where the hand began. Its frame `model` stays the one of the first time.
     pub fn renew_saved(&self) {
         let Some(newest) = self.watched.newest() else { return };
         let size = self.about.stereo.left().size();
@@ -229,7 +230,11 @@ impl Hub {
         let Targets { name: Some(name), saved, .. } = &mut *targets else { return };
         if let Some((_, selection)) = saved.iter_mut().find(|(saved, _)| saved == name) {
             let region = Region::Polygon { vertices_px: outline_px.clone() };
-            *selection = Selection { region, drawn_on: Some(pair) };
+            let known = newest.estimate.cam_left_from_model.zip(newest.estimate.first_pose_covariance);
+            let model = known.map(|(cam_left_from_model, first_pose_covariance)| {
+                Box::new(KnownModel { cam_left_from_model, first_pose_covariance })
+            });
+            *selection = Selection { region, drawn_on: Some(pair), model };
         }
     }
 }

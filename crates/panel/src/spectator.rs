@@ -7,8 +7,9 @@ use pb3dp_cell::handover::LatestProducer;
 use pb3dp_cell::moving::Moved;
 use pb3dp_cell::noting::PairEstimate;
 use pb3dp_cell::perception::View;
+use pb3dp_cell::selection::Choice;
 use pb3dp_cell::spectator::Spectator;
-use pb3dp_cell::true_surface::true_model_frame;
+use pb3dp_cell::true_surface::{true_model_frame, turned_as};
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_geometry::frames::{CamLeft, Model, Target};
 use pb3dp_geometry::{MonotonicTime, Pose};
@@ -86,7 +87,11 @@ impl Spectator for PanelSpectator {
         }
         let poses = estimate.cam_left_from_model.zip(captured.cam_left_from_target);
         if let (None, Some((found, truth))) = (self.target_from_model, poses) {
+            let restored = matches!(&seen.chosen, Some(Choice::Marked(selection)) if selection.model.is_some());
             let cam_left_from_model = seen.cam_left_from_plane().and_then(|plane| true_model_frame(&found, &plane));
+            // The x axis of a model from before is that of another view.
+            let cam_left_from_model =
+                cam_left_from_model.map(|pose| if restored { turned_as(&pose, &found) } else { pose });
             self.target_from_model = cam_left_from_model.map(|pose| truth.inverse() * pose);
         }
         let cam_left_from_model_true =

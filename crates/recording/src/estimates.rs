@@ -8,6 +8,7 @@ use pb3dp_cell::noting::PairEstimate;
 use pb3dp_cell::perception::View;
 use pb3dp_cell::selection::Choice;
 use pb3dp_estimation_core::estimate::{SurfaceEstimate, TrackEstimate};
+use pb3dp_estimation_core::method::KnownModel;
 
 use crate::exact::{covariance, of_covariance, of_pose_if_any, of_region, pose_if_any, same_bits};
 
@@ -23,6 +24,10 @@ pub fn pair_result(seen: &PairEstimate) -> PairResult {
         },
     });
     let surface = estimate.surface.as_ref();
+    let model = match &seen.chosen {
+        Some(Choice::Marked(selection)) => selection.model.as_deref(),
+        Some(Choice::OfSetup) | None => None,
+    };
     PairResult {
         sequence: captured.frame.sequence,
         exposed_at_nanos: captured.frame.at.as_nanos(),
@@ -50,6 +55,8 @@ pub fn pair_result(seen: &PairEstimate) -> PairResult {
         surface_from_model: Later(of_pose_if_any(surface.map(|known| &known.surface_from_model))),
         surface_covariance: Later(of_covariance(surface.map(|known| &known.covariance))),
         surface_version: Later(surface.iter().map(|known| known.version).collect()),
+        chosen_model: Later(of_pose_if_any(model.map(|known| &known.cam_left_from_model))),
+        chosen_model_covariance: Later(of_covariance(model.map(|known| &known.first_pose_covariance))),
     }
 }
 
@@ -77,6 +84,18 @@ pub fn recorded_estimate(result: &PairResult) -> Result<TrackEstimate> {
     })
 }
 
+/// The frame `model` that a chosen target had before.
+///
+/// # Errors
+/// Names the damaged field.
+pub fn recorded_model(result: &PairResult) -> Result<Option<KnownModel>> {
+    let cam_left_from_model = pose_if_any("chosen_model", &result.chosen_model.0)?;
+    let covariance = covariance("chosen_model_covariance", &result.chosen_model_covariance.0)?;
+    let known = cam_left_from_model.zip(covariance);
+    Ok(known
+        .map(|(cam_left_from_model, first_pose_covariance)| KnownModel { cam_left_from_model, first_pose_covariance }))
+}
+
 fn recorded_surface(result: &PairResult) -> Result<Option<SurfaceEstimate>> {
     let surface_from_model = pose_if_any("surface_from_model", &result.surface_from_model.0)?;
     let covariance = covariance("surface_covariance", &result.surface_covariance.0)?;
@@ -99,4 +118,36 @@ pub fn is_same_estimate(one: &PairResult, other: &PairResult) -> bool {
         && same_bits(&one.covariance, &other.covariance)
         && (surfaces.iter().any(|surface| surface.is_empty()) || same_bits(surfaces[0], surfaces[1]))
         && same_bits(&one.fitness, &other.fitness)
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Matrix6, UnitQuaternion, Vector3};
+    use pb3dp_geometry::Pose;
+    use pb3dp_geometry::frames::{CamLeft, Model};
+
+    use super::*;
+
+    #[test]
+    fn the_surface_and_the_model_of_a_chosen_target_return_to_the_bit() {
+        let turn = UnitQuaternion::from_euler_angles(0.1, -0.2, 0.3);
+        let covariance = Matrix6::from_fn(|i, j| 1e-7 / (1.0 + i as f64 + 3.0 * j as f64));
+        let (near, far) = (Vector3::new(0.001, -0.002, 0.0), Vector3::new(0.02, -0.01, 0.5));
+        let result = PairResult {
+            surface_from_model: Later(of_pose_if_any(Some(&Pose::<CamLeft, Model>::from_parts(near, turn)))),
+            surface_covariance: Later(of_covariance(Some(&covariance))),
+            surface_version: Later(vec![3]),
+            chosen_model: Later(of_pose_if_any(Some(&Pose::<CamLeft, Model>::from_parts(far, turn)))),
+            chosen_model_covariance: Later(of_covariance(Some(&covariance.transpose()))),
+            ..PairResult::default()
+        };
+        let surface = recorded_surface(&result).unwrap().unwrap();
+        assert_eq!(surface.surface_from_model, Pose::from_parts(near, turn));
+        assert_eq!((surface.covariance, surface.version), (covariance, 3));
+        let known = recorded_model(&result).unwrap().unwrap();
+        assert_eq!(known.cam_left_from_model, Pose::from_parts(far, turn));
+        assert_eq!(known.first_pose_covariance, covariance.transpose());
+        let before = PairResult::default();
+        assert!(recorded_surface(&before).unwrap().is_none() && recorded_model(&before).unwrap().is_none());
+    }
 }

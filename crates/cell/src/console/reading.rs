@@ -199,7 +199,7 @@ impl Reading {
             Ok(spec @ RegionSpec::Mask(_)) => self.select_mask(spec),
             Ok(spec) => match load_region(&spec, size) {
                 Ok(region) => {
-                    let selection = Selection { region, drawn_on: None };
+                    let selection = Selection { region, drawn_on: None, model: None };
                     self.say(OperatorCommand::Select, Some(Choice::Marked(selection)))
                 }
                 Err(why) => Some(format!("select refused: {why:#}")),
@@ -236,7 +236,7 @@ impl Reading {
             let said = OperatorRequest { word: OperatorCommand::Select, at };
             let answer = match region {
                 Ok(region) => {
-                    let choice = Choice::Marked(Selection { region, drawn_on: None });
+                    let choice = Choice::Marked(Selection { region, drawn_on: None, model: None });
                     queue(&mut give, (number, said), Some((&selections, choice)))
                 }
                 Err(why) => Some(format!("select refused: {why:#}")),

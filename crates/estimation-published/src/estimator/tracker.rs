@@ -69,7 +69,7 @@ impl PublishedTracker {
         &mut self,
         left: ImageView<'_>,
         right: ImageView<'_>,
-        MarkedTarget { region, range }: MarkedTarget<'_>,
+        MarkedTarget { region, range, .. }: MarkedTarget<'_>,
         deadline: &mut Deadline<'_>,
     ) -> Result<TrackEstimate, EstimationError> {
         self.target = None;
@@ -388,7 +388,8 @@ impl EstimationMethod for PublishedTracker {
         let Some(mut target) = self.target.take() else {
             let Start { region, range } = self.start.clone().ok_or(EstimationError::NotStarted)?;
             self.unsure_frames += 1;
-            let again = self.take_target(left, right, MarkedTarget { region: &region, range: &range }, deadline)?;
+            let again =
+                self.take_target(left, right, MarkedTarget { region: &region, range: &range, model: None }, deadline)?;
             return Ok(TrackEstimate { warnings: Vec::new(), ..again });
         };
         let outcome = self.follow(&mut target, left, right, prior.cam_left_prev_from_cam_left_now.as_ref(), deadline);

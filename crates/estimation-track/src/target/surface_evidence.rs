@@ -10,7 +10,8 @@ use pb3dp_estimation_direct::estimator::SurfacePlane;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Model};
 
-use super::{Target, frame_by_plane};
+use super::Target;
+use super::placing::frame_by_plane;
 use crate::surface::model_frame;
 
 /// Number of later pairs, and time between two, seconds. Chosen by hand, not varied: the first five seconds.

@@ -50,6 +50,10 @@ impl DirectTracker {
     /// and what remains is the error of the skew itself.
     pub(super) fn with_errors_of_motion(&mut self, first: TrackEstimate, prior: &FramePrior) -> TrackEstimate {
         let FramePrior { skew_s, skew_sigma_s, .. } = *prior;
+        let restored = self.target.as_ref().and_then(|target| target.first_pose_covariance);
+        if restored.is_some() {
+            return TrackEstimate { first_pose_covariance: restored, ..first };
+        }
         if let Some(target) = &mut self.target {
             target.first_skew_s = Some(skew_s).filter(|skew_s| *skew_s != 0.0);
         }

@@ -195,7 +195,7 @@ fn chosen_by(hub: &Hub, request: SelectRequest) -> Result<Chosen, Refusal> {
             hub.about.check_calibrated("select")?;
             let region = region_in(&region, hub.about.stereo.left().size())?;
             let pair = hub.watched.pairs.get(sequence)?;
-            Ok(Chosen { selection: Some(Selection { region, drawn_on: Some(pair) }), name })
+            Ok(Chosen { selection: Some(Selection { region, drawn_on: Some(pair), model: None }), name })
         }
         (None, Some(saved)) => {
             let targets = hub.targets();

@@ -47,7 +47,7 @@ pub use self::differences::{Compared, Differences, First, Kind};
 use self::past::Past;
 use self::reporting::Reporting;
 use self::source::{DecodeOptions, Item, RecordedPair, RecordedRun};
-use crate::estimates::{is_same_estimate, pair_result, recorded_estimate};
+use crate::estimates::{is_same_estimate, pair_result, recorded_estimate, recorded_model};
 use crate::exact::{marking, of_pose_if_any, percept, pose_if_any, region, same_bits};
 use crate::pairs::About;
 use crate::run::{RecordTo, recorder};
@@ -381,7 +381,7 @@ impl Replay<'_> {
         let Some((estimating, selections)) = &mut self.estimating else { return Ok(()) };
         estimating.count_targets(result.target.saturating_sub(1));
         if let (Some(marked), []) = (result.region.first(), &result.chosen[..]) {
-            selections.give(Choice::Marked(Selection { region: region(marked)?, drawn_on: None }));
+            selections.give(Choice::Marked(Selection { region: region(marked)?, drawn_on: None, model: None }));
         }
         Ok(())
     }
@@ -396,7 +396,11 @@ impl Replay<'_> {
                 _ => {
                     let is_this = chosen.drawn_on.first() == Some(&result.sequence);
                     let drawn_on = if is_this { Some(Arc::clone(&images)) } else { recorded.drawn_on.clone() };
-                    Choice::Marked(Selection { region: region(&chosen.region)?, drawn_on })
+                    Choice::Marked(Selection {
+                        region: region(&chosen.region)?,
+                        drawn_on,
+                        model: recorded_model(result)?.map(Box::new),
+                    })
                 }
             });
         }
