@@ -99,6 +99,7 @@ fn far(one: &Matrix6<f64>, other: &Matrix6<f64>) -> f64 {
 fn every_frame_has_the_error_of_the_first_pose_and_the_sum() {
     let frames = tracked(None, 0.0);
     let first = frames[0].covariance.expect("a covariance");
+    assert_eq!(frames[0].surface.map(|known| (known.covariance, known.version)), Some((first, 0)));
     assert_eq!((frames[0].first_pose_covariance, frames[0].pose_covariance), (Some(first), Some(first)));
     for later in &frames[1..] {
         let own = later.covariance.expect("a covariance");

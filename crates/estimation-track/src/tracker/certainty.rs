@@ -71,7 +71,8 @@ impl DirectTracker {
             target.first_pose_covariance = first.covariance;
             target.first_pose_covariance_at_rest = Some(with_diagonal(covariance, variances_of(skew_sigma_s)));
         }
-        TrackEstimate { first_pose_covariance: first.covariance, ..first }
+        let surface = self.target.as_ref().and_then(Target::surface_estimate);
+        TrackEstimate { first_pose_covariance: first.covariance, surface, ..first }
     }
 
     /// A pose with other variances of depth and tilts.

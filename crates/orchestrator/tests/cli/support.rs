@@ -39,7 +39,7 @@ pub const ESTIMATE_KEYS: [&str; 19] = [
     "warnings",
 ];
 /// Keys of a line of `track --json`, in order.
-pub const TRACK_KEYS: [&str; 12] = [
+pub const TRACK_KEYS: [&str; 15] = [
     "frame",
     "t_s",
     "status",
@@ -47,6 +47,9 @@ pub const TRACK_KEYS: [&str; 12] = [
     "covariance",
     "first_pose_covariance",
     "pose_covariance",
+    "surface_from_model",
+    "surface_covariance",
+    "surface_version",
     "observed",
     "fitness",
     "ms",
