@@ -34,8 +34,10 @@ pub enum EstimateWarning {
         /// Largest tilt of the search range, degrees.
         limit_deg: f64,
     },
-    /// The region is not planar.
-    #[error("the region is not planar: mark a flat part, write its surface (--surface), or track it")]
+    /// No plane within the range of depths explains the region: its surface is not planar, or lies elsewhere.
+    #[error(
+        "no plane explains the region: if the object may be elsewhere, widen the range of depths (--z-range); if it is curved, mark a flat part, write its surface (--surface), or track it"
+    )]
     NoPlane,
     /// The tracker follows a part of the region.
     #[error("the region shows several surfaces: the largest one is followed, {percent:.0} % of the region")]

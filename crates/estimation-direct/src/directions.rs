@@ -18,7 +18,7 @@ pub(super) fn tell(estimate: &mut PlaneEstimate, tilt_sigma_max_deg: f64) {
     if estimate.status.depth_is_sure() && !is_precise {
         estimate.status = Status::Ambiguous;
         estimate.reason.push_str(&format!(
-            ", but the depth has a standard deviation of {:.1} mm (limit {:.1}): move the cameras nearer or apart",
+            "; the depth has a standard deviation of {:.1} mm (limit {:.1}): move the cameras nearer or apart, or mark a larger region",
             1e3 * z_sigma_m,
             1e3 * z_sigma_max_m
         ));

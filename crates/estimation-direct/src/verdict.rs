@@ -290,7 +290,7 @@ pub(super) fn judge(
         Some(sigma_deg) => say(
             Status::WeakTilt,
             format!(
-                "{agreed}, but the normal has a standard deviation of {sigma_deg:.1} degrees (limit {:.1})",
+                "{agreed}, but the normal has a standard deviation of {sigma_deg:.1} degrees (limit {:.1}): mark a larger region",
                 limits.normal_sigma_max_deg
             ),
         ),

@@ -15,6 +15,7 @@ use pb3dp_record::dataset::{SearchRange, SequenceDraft, SequenceWriter, WrittenF
 use pb3dp_record::images::{StoredFormat, load_rgb};
 use pb3dp_sim::targets::TargetConfig;
 
+use crate::cli::estimate::OnePair;
 use crate::cli::support::*;
 
 const FRAMES: usize = 7;
@@ -267,7 +268,6 @@ fn a_region_that_is_refused_leaves_the_other_targets_alone() {
     }
 }
 
-/// The card is flat: its points lie in the plane z = 0 of the model, within the card, and have its colours.
 /// The columns of a run's `estimates.csv`, with the values of the JSON lines; a frame without images has an empty row.
 #[test]
 fn the_estimates_are_also_a_table_with_the_columns_of_a_run() {
@@ -300,6 +300,7 @@ fn the_estimates_are_also_a_table_with_the_columns_of_a_run() {
     refused.assert_refused(&["--csv", "is a folder"]);
 }
 
+/// The card is flat: its points lie in the plane z = 0 of the model, within the card, and have its colours.
 #[test]
 fn the_surface_of_a_flat_card_is_a_flat_coloured_cloud() {
     let dir = tempfile::tempdir().unwrap();
@@ -382,18 +383,37 @@ fn a_bright_board_is_followed_as_a_whole() {
     }
 }
 
+/// A folder of images: the pair of this folder, twice.
+fn twice(pair: &Path) -> tempfile::TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    for (side, number) in [("left", 0), ("right", 0), ("left", 1), ("right", 1)] {
+        let to = dir.path().join(format!("{side}_{number}.png"));
+        std::fs::copy(pair.join(format!("{side}.png")), to).unwrap();
+    }
+    dir
+}
+
 /// The recording is read twice if it states no skew.
 #[test]
 fn the_range_of_depths_that_nobody_gave_is_told_once() {
-    let (case, dir) = (repository().join("tests/data/cases/bb201_c0"), tempfile::tempdir().unwrap());
-    for (side, number) in [("left", 0), ("right", 0), ("left", 1), ("right", 1)] {
-        let to = dir.path().join(format!("{side}_{number}.png"));
-        std::fs::copy(case.join(format!("{side}.png")), to).unwrap();
-    }
-    let (calibration, region) = (case.join("calib.json"), "rect:340,110,140,190");
+    let case = repository().join("tests/data/cases/bb201_c0");
+    let (dir, calibration, region) = (twice(&case), case.join("calib.json"), "rect:340,110,140,190");
     let all = words(&[&"track", &"--sequence", &dir.path(), &"--calib", &calibration, &"--region", &region]);
     let finished = pb3dp(&all).assert_success();
     assert_eq!(finished.stderr.matches("no --z-range given").count(), 1, "{}", finished.stderr);
+}
+
+/// A click takes what has its colour, which may not be the object that was meant.
+#[test]
+fn a_click_says_once_which_part_it_took() {
+    let crab = OnePair::of(TargetConfig::crab(0.0));
+    let calibration = crab.file("calib.json");
+    let dir = twice(crab.dir.path());
+    let click = format!("click:{:.0},{:.0}", crab.centre_px()[0], crab.centre_px()[1]);
+    let all = words(&[&"track", &"--sequence", &dir.path(), &"--calib", &calibration, &"--region", &click]);
+    let finished = pb3dp(&all).assert_success();
+    let told = "frame 0: the click has taken ";
+    assert_eq!(finished.stderr.matches(told).count(), 1, "{}", finished.stderr);
 }
 
 /// Writes the images of a sequence into a recording of ROS 2 in this order, with stamps of the frames in `stamps`. With `changed_at`, each

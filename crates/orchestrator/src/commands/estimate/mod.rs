@@ -18,7 +18,7 @@ use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
 use pb3dp_estimation::pair_check::check_pair;
 use pb3dp_estimation_core::estimate::{PlaneEstimate, ReferenceOptimum, SecondPlane};
 use pb3dp_estimation_core::method::EstimateRequest;
-use pb3dp_estimation_core::region::{Region, RegionConfig};
+use pb3dp_estimation_core::region::RegionConfig;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_hal_platform::cpu_time::{timed, within};
 use pb3dp_record::dataset::{find_cases, load_case};
@@ -32,7 +32,7 @@ use self::rigs::Rigs;
 use super::overlay_folder::{make_overlay_folder, report_overlay_folder};
 use crate::arguments::{EstimateArgs, UNSURE};
 use crate::commands::output_file::{check_cloud, is_same_file};
-use crate::commands::pair::usable;
+use crate::commands::pair::{tell_click, usable};
 use crate::progress::Progress;
 
 /// Runs the command. It processes all cases; the exit code is a failure if one of them failed.
@@ -174,7 +174,7 @@ fn work(
         tracing::warn!("{}: {warning}", job.name);
     }
     let pair_warning = usable(&job.name, &check_pair(&job.rig, &job.left, &job.right))?;
-    tell_click(job, &config.published.region);
+    tell_click(&job.name, &job.region, &job.left, &config.published.region);
     let mut estimator = rigs.estimator(job, (method, config))?;
     let (estimate, millis) = timed(|| {
         let mut may_continue = within(args.method.deadline);
@@ -234,24 +234,6 @@ fn reference_optimum(job: &Job, method: Method, config: &EstimatorConfig) -> Res
     Ok(estimator
         .estimate(EstimateRequest::of_target(&job.left, &job.right, &job.region, &job.range))?
         .reference_optimum)
-}
-
-/// Reports the region that a click has selected, which may be larger or smaller than intended.
-fn tell_click(job: &Job, regions: &RegionConfig) {
-    if let Region::Click { .. } = job.region
-        && let Ok(mask) = job.region.rasterize(&job.left, regions)
-        && let Some(bounds) = mask.bbox()
-    {
-        tracing::info!(
-            "{}: the click has taken {} px within rect:{},{},{},{} (--overlay shows them)",
-            job.name,
-            mask.area_px(),
-            bounds.x,
-            bounds.y,
-            bounds.width,
-            bounds.height
-        );
-    }
 }
 
 /// Logs status, reason, warnings, a second surface, and the contributions of search and fitness to the error.

@@ -12,7 +12,7 @@ use pb3dp_estimation::pair_check::check_pair;
 use pb3dp_estimation::skew_watch::Skew;
 use pb3dp_estimation_core::estimate::{EstimateWarning, TrackEstimate};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
-use pb3dp_estimation_core::region::Region;
+use pb3dp_estimation_core::region::{Region, RegionConfig};
 use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{MonotonicTime, Pose, StereoRig};
@@ -25,11 +25,12 @@ use pb3dp_wiring::Recording;
 use pb3dp_wiring::message_codes::in_words;
 
 use crate::arguments::TrackArgs;
-use crate::commands::pair::usable;
+use crate::commands::pair::{tell_click, usable};
 
 /// All targets of a sequence.
 pub struct Walk {
     rig: StereoRig,
+    regions: RegionConfig,
     targets: Vec<TrackedTarget>,
     /// The first readable frame.
     first: Option<usize>,
@@ -229,6 +230,7 @@ impl Walk {
         };
         Ok(Self {
             rig: *rig,
+            regions: config.published.region,
             targets: marks.into_iter().map(target).collect::<Result<_>>()?,
             first: None,
             judged_from: 0,
@@ -285,7 +287,8 @@ impl Walk {
     /// Exchanged images in the first frame, or only refused regions.
     pub fn step(&mut self, frame: usize, pair: &FramePair) -> Result<Vec<TargetResult>> {
         let mut rig_warnings = Vec::new();
-        if self.first.is_none() {
+        let is_first = self.first.is_none();
+        if is_first {
             let what = format!("frame {frame}");
             let pair_warning = usable(&what, &check_pair(&self.rig, &pair.left, &pair.right)).context(what)?;
             rig_warnings = pair_warning.into_iter().chain(std::mem::take(&mut self.calibration_warnings)).collect();
@@ -311,6 +314,9 @@ impl Walk {
             let index = several.then_some(index);
             let what = index.map_or(format!("frame {frame}"), |index| format!("frame {frame}, target {index}"));
             let was_refused = target.refused.is_some();
+            if is_first && let Ok(region) = target.region(&pair.left) {
+                tell_click(&what, &region, &pair.left, &self.regions);
+            }
             let outcome = target.look(pair, &prior, self.deadline_millis);
             match &outcome {
                 Outcome::Estimate { estimate, .. } => {
