@@ -14,7 +14,7 @@ use pb3dp_estimation_track::{DirectTracker, DirectTrackerConfig};
 use pb3dp_geometry::frames::{CamLeft, Target};
 use pb3dp_geometry::{Pose, StereoRig};
 
-use crate::moving_plane::{Shot, general_rig, moving, rectified_rig, region, render};
+use crate::moving_plane::{general_rig, moving, rectified_rig, region, render_skewed};
 use crate::painted;
 
 const FPS: f64 = 30.0;
@@ -36,13 +36,12 @@ fn errors_mm(skew_s: f64, known_s: f64) -> Vec<[f64; 2]> {
     let range = SearchRange { z_min_m: 0.3, z_max_m: 0.7, tilt_max_rad: 0.8 };
     let follow = |frame: u32| {
         let t_s = f64::from(frame) / FPS;
-        let [now, later] = [t_s, t_s + skew_s]
-            .map(|t_s| render(&rig, &Shot { cam_left_from_target: Some(moving(t_s)), frame, right_gain: 1.0 }));
+        let (left, right) = render_skewed(&rig, [moving(t_s), moving(t_s + skew_s)], frame);
         let prior = FramePrior { dt_s: Some(1.0 / FPS), ..FramePrior::of_skew(known_s) };
         let region = region(&rig, &moving(t_s));
         let mut request = match frame {
-            0 => EstimateRequest::of_target(&now.0, &later.1, &region, &range).with_skew(known_s),
-            _ => EstimateRequest::of_next(&now.0, &later.1, &prior),
+            0 => EstimateRequest::of_target(&left, &right, &region, &range).with_skew(known_s),
+            _ => EstimateRequest::of_next(&left, &right, &prior),
         };
         let estimate = tracker.answer(&mut request).expect("valid images");
         assert_eq!(estimate.status, Status::Ok, "frame {frame}: {}", estimate.reason);
@@ -75,9 +74,9 @@ fn the_motion_between_the_exposures_does_not_change_the_depth() {
 /// Grey waves on a disc of 60 mm, none a multiple of another.
 fn paint(x: f64, y: f64) -> Option<f64> {
     let wave = |a: f64, b: f64, phase: f64| (a * x + b * y + phase).sin();
-    let grey =
-        118.0 + 26.0 * wave(190.0, 230.0, 0.3) + 26.0 * wave(-310.0, 170.0, 1.1) + 22.0 * wave(420.0, -250.0, 0.7);
-    (x.hypot(y) < 0.06).then_some(grey)
+    (x * x + y * y < 0.06 * 0.06).then(|| {
+        118.0 + 26.0 * wave(190.0, 230.0, 0.3) + 26.0 * wave(-310.0, 170.0, 1.1) + 22.0 * wave(420.0, -250.0, 0.7)
+    })
 }
 
 /// Follows a target that moves by up to 120 mm/s, up and down as well. `taken_by`: the rig that took the images, which is stated to be
@@ -93,8 +92,7 @@ fn follow(taken_by: &StereoRig, skew_s: f64, stated_s: f64) -> (Tracker, Vec<Tra
     let range = SearchRange { z_min_m: 0.3, z_max_m: 0.7, tilt_max_rad: 0.8 };
     let estimates = (0..FRAMES).map(|frame| {
         let t_s = f64::from(frame) / FPS;
-        let (left, _) = painted::pair(taken_by, &at(t_s), paint, 2 * frame);
-        let (_, right) = painted::pair(taken_by, &at(t_s + skew_s), paint, 2 * frame + 1);
+        let (left, right) = painted::skewed_pair(taken_by, [&at(t_s), &at(t_s + skew_s)], paint, frame);
         let centre = taken_by.left().project(&Point3::from(at(t_s).translation_m())).expect("in front");
         let [x, y] = [centre.x, centre.y].map(|px| px as i32 - 36);
         let region = Region::Rectangle { x, y, width: 72, height: 72 };

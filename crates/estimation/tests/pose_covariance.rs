@@ -10,7 +10,7 @@ use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::Pose;
 
-use crate::moving_plane::{Shot, general_rig, moving, region, render};
+use crate::moving_plane::{Shot, general_rig, moving, region, render, render_skewed};
 
 const FPS: f64 = 30.0;
 const FRAMES: u32 = 5;
@@ -77,14 +77,13 @@ fn tracked(term: Option<CalibrationTerm>, skew_s: f64) -> Vec<TrackEstimate> {
     let range = SearchRange { z_min_m: 0.3, z_max_m: 0.7, tilt_max_rad: 0.8 };
     let follow = |frame: u32| {
         let t_s = f64::from(frame) / FPS;
-        let [now, later] = [t_s, t_s + skew_s]
-            .map(|t_s| render(&rig, &Shot { cam_left_from_target: Some(moving(t_s)), frame, right_gain: 1.0 }));
+        let (left, right) = render_skewed(&rig, [moving(t_s), moving(t_s + skew_s)], frame);
         let prior = FramePrior { dt_s: Some(1.0 / FPS), ..FramePrior::of_skew(skew_s) };
         let region = region(&rig, &moving(t_s));
         tracker
             .estimate(match frame {
-                0 => EstimateRequest::of_target(&now.0, &later.1, &region, &range).with_skew(skew_s),
-                _ => EstimateRequest::of_next(&now.0, &later.1, &prior),
+                0 => EstimateRequest::of_target(&left, &right, &region, &range).with_skew(skew_s),
+                _ => EstimateRequest::of_next(&left, &right, &prior),
             })
             .expect("valid images")
     };

@@ -1,6 +1,8 @@
 //! Wrong calibrations: what the rows of the images show is corrected, and what is more is never believed.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
+use std::sync::Arc;
+
 use image::{Rgb, RgbImage};
 use nalgebra::{Point3, Vector2, Vector3};
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, FramePrior, Method, Tracker};
@@ -16,7 +18,7 @@ use pb3dp_estimation_test_support::scene;
 use pb3dp_geometry::frames::CamRight;
 use pb3dp_geometry::{Camera, ImageSize, Pinhole, Pose, StereoRig, so3};
 
-use crate::plane_pair::{self, Paint, Plane, Texture};
+use crate::plane_pair::{self, Paint, Plane, SeenPlane, Texture};
 
 const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
 
@@ -57,11 +59,12 @@ impl Fault {
 }
 
 /// A painted disc in front of a painted or plain wall.
+#[derive(Clone)]
 struct Scene {
     disc: Plane,
     radius_mm: f64,
     wall: Option<Plane>,
-    paints: [Texture; 2],
+    paints: Arc<[Texture; 2]>,
     region: Region,
     /// Width and height of the fields of a chessboard that is painted on the disc.
     fields_mm: Option<[f64; 2]>,
@@ -78,7 +81,7 @@ impl Scene {
         let centre = rig.left().project(&Point3::from(disc.point)).unwrap();
         let [x, y] = [centre.x as i32 - 35, centre.y as i32 - 35];
         let region = Region::Rectangle { x, y, width: 70, height: 70 };
-        let paints = [Texture::new(Paint::Grey, seed), Texture::new(Paint::Sand, seed + 1000)];
+        let paints = Arc::new([Texture::new(Paint::Grey, seed), Texture::new(Paint::Sand, seed + 1000)]);
         Self { disc, radius_mm: 60.0, wall: Some(wall), paints, region, fields_mm: None, seed }
     }
 
@@ -106,15 +109,17 @@ impl Scene {
         self.disc.normal = so3::exp(&Vector3::new(6e-3, -6e-3, 0.0)) * self.disc.normal;
     }
 
-    fn grey(&self, origin: &Vector3<f64>, ray: &Vector3<f64>) -> f32 {
-        let (_, x, y) = self.disc.cut(origin, ray);
-        if let Some([width, height]) = self.fields_mm.filter(|_| x.hypot(y) < self.radius_mm) {
+    /// The grey level on a ray; the disc and the wall are seen from its origin.
+    fn grey(&self, disc: &SeenPlane, wall: Option<&SeenPlane>, ray: &Vector3<f64>) -> f32 {
+        let (x, y) = disc.cut(ray);
+        let is_on_disc = x * x + y * y < self.radius_mm * self.radius_mm;
+        if let Some([width, height]) = self.fields_mm.filter(|_| is_on_disc) {
             let is_white = ((x / width).floor() + (y / height).floor()).rem_euclid(2.0) == 0.0;
             return if is_white { 200.0 } else { 40.0 };
         }
-        let (paint, (_, x, y)) = match &self.wall {
-            _ if x.hypot(y) < self.radius_mm => (0, (0.0, x, y)),
-            Some(wall) => (1, wall.cut(origin, ray)),
+        let (paint, (x, y)) = match wall {
+            _ if is_on_disc => (0, (x, y)),
+            Some(wall) => (1, wall.cut(ray)),
             None => return 150.0,
         };
         self.paints[paint].at(x, y)[0]
@@ -127,12 +132,17 @@ impl Scene {
         let mut noise = SplitMix64::new(self.seed);
         cameras.map(|(camera, left_from_camera)| {
             let origin = left_from_camera.map_or(Vector3::zeros(), |pose| pose.translation_m());
+            let (disc, wall) = (self.disc.from(&origin), self.wall.map(|wall| wall.from(&origin)));
             RgbImage::from_fn(SIZE.width, SIZE.height, |u, v| {
                 let sum: f32 = [(-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)]
                     .iter()
                     .map(|(du, dv)| {
                         let ray = camera.unproject(&Vector2::new(f64::from(u) + du, f64::from(v) + dv)).unwrap();
-                        self.grey(&origin, &left_from_camera.map_or(ray, |pose| pose.transform_vector(&ray)))
+                        self.grey(
+                            &disc,
+                            wall.as_ref(),
+                            &left_from_camera.map_or(ray, |pose| pose.transform_vector(&ray)),
+                        )
                     })
                     .sum();
                 Rgb([(f64::from(sum) / 4.0 + 2.0 * noise.normal()).round().clamp(0.0, 255.0) as u8; 3])
@@ -221,13 +231,15 @@ fn sweep(
     seeds: std::ops::Range<u64>,
 ) -> [usize; 2] {
     let (mut counts, mut silent) = ([0; 2], Vec::new());
-    for (amount, seed) in amounts.iter().flat_map(|amount| seeds.clone().map(move |seed| (*amount, seed))) {
-        for fault in Fault::all(if seed % 2 == 0 { amount } else { -amount }) {
-            if make(seed, stated).fields_mm.is_some() && matches!(fault, Fault::Pitch(deg) if deg.abs() >= 1.0) {
+    for scene in seeds.map(|seed| make(seed, stated)) {
+        let seed = scene.seed;
+        let signed = |amount: &f64| if seed % 2 == 0 { *amount } else { -amount };
+        for fault in amounts.iter().flat_map(|amount| Fault::all(signed(amount))) {
+            if scene.fields_mm.is_some() && matches!(fault, Fault::Pitch(deg) if deg.abs() >= 1.0) {
                 // Moves the board by one square.
                 continue;
             }
-            for (status, error, reason) in answers(stated, &mut make(seed, stated), &fault.of(stated)) {
+            for (status, error, reason) in answers(stated, &mut scene.clone(), &fault.of(stated)) {
                 counts[usize::from(status != Status::Ok)] += 1;
                 let Some(error) = error.filter(|error| status == Status::Ok && error.is_silent()) else { continue };
                 let Error { deg, depth, sigmas } = error;
@@ -307,7 +319,7 @@ fn an_answer_whose_calibration_cannot_be_checked_says_so() {
     let centre = rig.left().project(&Point3::from(large.disc.point)).unwrap();
     let [x, y] = [centre.x as i32 - 13, centre.y as i32 - 13];
     let region = Region::Rectangle { x, y, width: 26, height: 26 };
-    let paints = [Texture::new(Paint::Faint, 3), Texture::new(Paint::Sand, 3)];
+    let paints = Arc::new([Texture::new(Paint::Faint, 3), Texture::new(Paint::Sand, 3)]);
     let faint = Scene { wall: None, radius_mm: 10.0, region, paints, ..large };
     assert!(warnings(&faint).contains(&EstimateWarning::RigUnchecked));
     // A whole image shows it later.

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use crate::layers::Layers;
 use crate::layers::built_in_keys::{Values, all_keys, texts};
 use crate::load::{nearest, unit_of};
 use crate::setup::{camera_faults, refusals_of};
@@ -57,7 +56,7 @@ pub fn explain(key: &str) -> Result<Vec<Explanation>, Vec<String>> {
         return Err(nearest(&of_sample, &names).map(str::to_owned).into_iter().collect());
     }
     // The range of a key needs a complete check of a setup, so a table is listed without ranges.
-    let allowed = if below.len() == 1 { allowed } else { |_: &str| None };
+    let allowed = if below.len() == 1 { allowed } else { |_: &str, _: &Values| None };
     Ok(below.into_iter().map(|key| explanation(key, known[key].clone(), allowed)).collect())
 }
 
@@ -71,8 +70,9 @@ fn mentioning<'a>(word: &str, known: &'a BTreeMap<String, Values>) -> Vec<&'a St
     known.keys().filter(is_about).collect()
 }
 
-fn explanation(key: &str, values: Values, allowed: fn(&str) -> Option<String>) -> Explanation {
-    Explanation { key: key.to_owned(), about: about(key), unit: unit_of(key), allowed: allowed(key), values }
+fn explanation(key: &str, values: Values, allowed: fn(&str, &Values) -> Option<String>) -> Explanation {
+    let allowed = allowed(key, &values);
+    Explanation { key: key.to_owned(), about: about(key), unit: unit_of(key), allowed, values }
 }
 
 /// Explains every key of the built-in setups.
@@ -107,11 +107,9 @@ pub fn is_within(key: &str, table: &str) -> bool {
 }
 
 /// The allowed values, from the refusal of an absurd value.
-fn allowed(key: &str) -> Option<String> {
-    let (name, text) = texts().filter(|(name, _)| *name != "rig").find(|(name, text)| {
-        Layers::of_text(name, text).is_ok_and(|layers| layers.effective().iter().any(|setting| setting.key == key))
-    })?;
-    let value = Layers::of_text(name, text).ok()?.effective().into_iter().find(|setting| setting.key == key)?.value;
+fn allowed(key: &str, values: &Values) -> Option<String> {
+    let (name, value) = values.iter().find(|(name, _)| *name != "rig")?;
+    let (name, text) = texts().find(|(other, _)| other == name)?;
     let absurd = match value.strip_prefix('[') {
         Some(list) => format!("[{}]", vec!["1e12"; list.split(',').count()].join(", ")),
         None if value.contains('.') || value.parse::<i64>().is_err() => "1e12".to_owned(),
@@ -121,8 +119,8 @@ fn allowed(key: &str) -> Option<String> {
 }
 
 fn allowed_in(name: &'static str, text: &str, key: &str, absurd: &str) -> Option<String> {
-    let tries = [absurd, "\"?\""].map(|value| refusals_of(name, text, key, value));
-    tries.iter().flatten().find_map(|line| {
+    let mut lines = [absurd, "\"?\""].into_iter().flat_map(|value| refusals_of(name, text, key, value));
+    lines.find_map(|line| {
         let line = line.trim_start().strip_prefix(key)?;
         let range = line.split_once(": allowed are ").map(|(_, range)| range);
         let choice =

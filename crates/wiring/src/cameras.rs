@@ -379,7 +379,7 @@ mod tests {
         memory.copy_from_slice(&SCENE);
     }
 
-    /// What came after both plugs were pulled, and plugged in again with these paintings: pairs in a second, and the last message.
+    /// What came after both plugs were pulled, and plugged in again with these paintings: pairs in 0.7 s, and the last message.
     fn after_reopening(serials: [Option<&str>; 2], paints: [fn(u64, &mut [u8]); 2]) -> (u32, String) {
         let clock: Arc<dyn Clock> = Arc::new(VirtualClock::default());
         let (mut cameras, whole) = of_the_rig();
@@ -411,7 +411,7 @@ mod tests {
             assert!(camera.next_pair_into(&mut pair, Duration::from_millis(60)).is_err());
             system.with(number, |camera| (camera.faults.is_unplugged, camera.paint) = (false, paint)).unwrap();
         }
-        let (end, mut came, mut said) = (clock.now() + Duration::from_secs(1), 0, String::new());
+        let (end, mut came, mut said) = (clock.now() + Duration::from_millis(700), 0, String::new());
         while clock.now() < end {
             match camera.next_pair_into(&mut pair, Duration::from_millis(66)) {
                 Ok(()) => came += 1,
@@ -437,7 +437,7 @@ mod tests {
         ] {
             let (came, said) = after_reopening(serials, paints);
             match expected {
-                None => assert!(came > 10, "{came} came: {said}"),
+                None => assert!(came > 3, "{came} came: {said}"),
                 Some(text) => assert!(came == 0 && said.contains(text), "{came} came: {said}"),
             }
         }

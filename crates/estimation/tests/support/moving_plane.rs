@@ -109,6 +109,14 @@ pub fn render_discs(
     (left, right)
 }
 
+/// Images that show the usual disc at one pose each: left and right.
+pub fn render_skewed(rig: &StereoRig, [left, right]: [Pose<CamLeft, Target>; 2], frame: u32) -> (RgbImage, RgbImage) {
+    let shot = Shot { cam_left_from_target: None, frame, right_gain: 1.0 };
+    let left = image(rig.left(), &Isometry3::identity(), (&USUAL, &[left], &shot), 1.0, 0);
+    let right = image(rig.right(), rig.cam_right_from_cam_left().isometry(), (&USUAL, &[right], &shot), 1.0, 1);
+    (left, right)
+}
+
 fn image(
     camera: &Camera,
     cam_from_left: &Isometry3<f64>,
@@ -124,7 +132,8 @@ fn image(
         let disc = discs_from_left.iter().find_map(|to_target| {
             let (from, along) = (to_target * origin, to_target * ray);
             let at = from - along * (from.z / along.z);
-            (at.x.hypot(at.y) < own.radius_m).then(|| paint(at.x * own.fineness, at.y * own.fineness, 0.0))
+            (at.x * at.x + at.y * at.y < own.radius_m * own.radius_m)
+                .then(|| paint(at.x * own.fineness, at.y * own.fineness, 0.0))
         });
         let colour = disc.unwrap_or(behind);
         let noise = |c: u32| noise(x, y, shot.frame * 6 + side * 3 + c);

@@ -54,8 +54,18 @@ fn image(
 
 /// Both images of the plane at a pose; the frame selects the noise.
 pub fn pair(rig: &StereoRig, pose: &Pose<CamLeft, Target>, paint: Paint, frame: u32) -> (RgbImage, RgbImage) {
-    let left = image(rig.left(), &Isometry3::identity(), pose, paint, 2 * frame);
-    let right = image(rig.right(), rig.cam_right_from_cam_left().isometry(), pose, paint, 2 * frame + 1);
+    skewed_pair(rig, [pose, pose], paint, frame)
+}
+
+/// Images that show the plane at one pose each: left and right.
+pub fn skewed_pair(
+    rig: &StereoRig,
+    [left, right]: [&Pose<CamLeft, Target>; 2],
+    paint: Paint,
+    frame: u32,
+) -> (RgbImage, RgbImage) {
+    let left = image(rig.left(), &Isometry3::identity(), left, paint, 2 * frame);
+    let right = image(rig.right(), rig.cam_right_from_cam_left().isometry(), right, paint, 2 * frame + 1);
     (left, right)
 }
 
@@ -64,7 +74,7 @@ pub fn wave(at: f64, period_m: f64) -> f64 {
 }
 
 pub fn rings(x: f64, y: f64) -> Option<f64> {
-    let r = x.hypot(y);
+    let r = (x * x + y * y).sqrt();
     (r < RADIUS_M).then(|| 128.0 + 45.0 * wave(r, 0.017) + 40.0 * wave(r + 0.003, 0.029))
 }
 
@@ -73,7 +83,7 @@ pub fn stripes(x: f64, _: f64) -> Option<f64> {
 }
 
 pub fn texture(x: f64, y: f64) -> Option<f64> {
-    (x.hypot(y) < RADIUS_M).then(|| {
+    (x * x + y * y < RADIUS_M * RADIUS_M).then(|| {
         let (a, b) = (wave(x + 0.4 * y, 0.017), wave(y - 0.3 * x, 0.021));
         128.0 + 40.0 * a + 40.0 * b + 20.0 * wave(x - y, 0.031)
     })

@@ -44,9 +44,15 @@ pub struct Texture(Vec<[f32; 3]>);
 impl Texture {
     pub fn new(paint: Paint, seed: u64) -> Self {
         let mut random = random(seed);
-        let fields: Vec<Vec<f32>> = (0..3).map(|_| field(&mut random, 2.6, 25.0)).collect();
+        let count = match paint {
+            Paint::Plain => 0,
+            Paint::Grey | Paint::Faint | Paint::EqualLuminance => 1,
+            Paint::Sand => 2,
+            Paint::Colour | Paint::Crab => 3,
+        };
+        let fields: Vec<Vec<f32>> = (0..count).map(|_| field(&mut random, 2.6, 25.0)).collect();
         let colour = |i: usize| {
-            let f = [fields[0][i], fields[1][i], fields[2][i]];
+            let f: [f32; 3] = std::array::from_fn(|k| fields.get(k).map_or(0.0, |field| field[i]));
             let rgb = match paint {
                 Paint::Colour => hsv(0.5 + 0.35 * f[0], 0.65 + 0.1 * f[1], 0.62 + 0.1 * f[2]),
                 Paint::Crab => {
@@ -126,13 +132,27 @@ impl Plane {
         Self { point, normal: turn * Vector3::z() }
     }
 
-    /// Depth along a ray from `origin`, and coordinates in the plane, millimetres.
-    pub fn cut(&self, origin: &Vector3<f64>, ray: &Vector3<f64>) -> (f64, f64, f64) {
-        let t = self.normal.dot(&(self.point - origin)) / self.normal.dot(ray);
-        let at = origin + ray * t - self.point;
+    /// What the rays from one place have in common.
+    pub fn from(&self, origin: &Vector3<f64>) -> SeenPlane {
         let x_axis = (Vector3::x() - self.normal * self.normal.x).normalize();
-        let y_axis = self.normal.cross(&x_axis);
-        (t, 1e3 * at.dot(&x_axis), 1e3 * at.dot(&y_axis))
+        let axes = [self.normal, x_axis, self.normal.cross(&x_axis)];
+        SeenPlane { axes, place: axes.map(|axis| axis.dot(&(self.point - origin))) }
+    }
+}
+
+/// A plane from one place: its normal and its two axes, and how far along them its point lies from there, metres.
+#[derive(Clone, Copy, Debug)]
+pub struct SeenPlane {
+    axes: [Vector3<f64>; 3],
+    place: [f64; 3],
+}
+
+impl SeenPlane {
+    /// Where a ray meets the plane: coordinates in it, millimetres.
+    pub fn cut(&self, ray: &Vector3<f64>) -> (f64, f64) {
+        let [along, x, y] = self.axes.map(|axis| axis.dot(ray));
+        let t = self.place[0] / along;
+        (1e3 * (t * x - self.place[1]), 1e3 * (t * y - self.place[2]))
     }
 }
 
@@ -208,7 +228,7 @@ pub fn rig(baseline_m: f64) -> StereoRig {
 
 /// Within a lobed outline.
 fn outline(setup: &Setup, x_mm: f64, y_mm: f64) -> bool {
-    let distance = x_mm.hypot(y_mm) / (1e3 * setup.radius_m);
+    let distance = (x_mm * x_mm + y_mm * y_mm).sqrt() / (1e3 * setup.radius_m);
     if !(0.82..1.18).contains(&distance) {
         return distance < 1.0;
     }
@@ -227,11 +247,11 @@ pub fn render(setup: &Setup, target: &Texture, background: &Texture) -> Pair {
     let plane = Plane::new(centre_ray * setup.z_m, setup.tilt_x_rad, setup.tilt_y_rad);
     let behind = Plane::new(centre_ray * (setup.z_m + setup.background_m), 0.0, 0.0);
     let before = Plane::new(centre_ray * (setup.z_m - 0.06), 0.05, -0.1);
-    let shade = |origin: &Vector3<f64>, ray: &Vector3<f64>| -> ([f32; 3], bool, bool) {
-        let (_, x, y) = plane.cut(origin, ray);
+    let shade = |[plane, behind, before]: &[SeenPlane; 3], ray: &Vector3<f64>| -> ([f32; 3], bool, bool) {
+        let (x, y) = plane.cut(ray);
         let on_target = outline(setup, x, y);
         if setup.occluded > 0.0 {
-            let (_, u, v) = before.cut(origin, ray);
+            let (u, v) = before.cut(ray);
             let edge = 1e3 * setup.radius_m * (1.0 - 2.0 * setup.occluded);
             if u + 0.2 * v > edge {
                 return (background.at(v + 31.0, 1.7 * u), on_target, true);
@@ -240,13 +260,14 @@ pub fn render(setup: &Setup, target: &Texture, background: &Texture) -> Pair {
         if on_target {
             (target.at(x, y), true, false)
         } else {
-            let (_, x, y) = behind.cut(origin, ray);
+            let (x, y) = behind.cut(ray);
             (background.at(x, y), false, false)
         }
     };
     let (pinhole, z) = (*rig.left().pinhole(), setup.z_m);
     let reach = (1.6 * setup.radius_m * pinhole.fx / z) as i32 + 16;
     let draw = |camera: &Camera, origin: Vector3<f64>, centre: Vector2<f64>, row: f64| {
+        let planes = [plane, behind, before].map(|plane| plane.from(&origin));
         let mut rgb = vec![[60.0_f32; 3]; (SIZE.width * SIZE.height) as usize];
         let (mut target, mut hidden) = (vec![false; rgb.len()], vec![false; rgb.len()]);
         for v in (centre.y as i32 - reach).max(0)..(centre.y as i32 + reach).min(SIZE.height as i32) {
@@ -255,7 +276,7 @@ pub fn render(setup: &Setup, target: &Texture, background: &Texture) -> Pair {
                 let mut on_target = 0;
                 for (a, b) in [-0.33, 0.0, 0.33].iter().flat_map(|a| [-0.33, 0.0, 0.33].map(|b| (*a, b))) {
                     let at = Vector2::new(f64::from(u) + a, f64::from(v) + b - row);
-                    let (colour, on, cover) = shade(&origin, &ray_of(camera, &at));
+                    let (colour, on, cover) = shade(&planes, &ray_of(camera, &at));
                     (0..3).for_each(|c| sum[c] += colour[c] / 9.0);
                     on_target += usize::from(on);
                     hidden[(v as u32 * SIZE.width + u as u32) as usize] |= cover;

@@ -535,7 +535,7 @@ fn a_recording_whose_program_is_killed_can_be_tracked() {
 #[test]
 fn the_log_says_how_far_the_cameras_have_moved() {
     let dir = tempfile::tempdir().unwrap();
-    let config = setup(dir.path(), &[]);
+    let config = setup(dir.path(), &[("compare = [\"published\"]", "compare = []")]);
     let fault = "\n[[camera.faults]]\nkind = \"miscalibrated\"\nfrom_s = 1.0\nuntil_s = 9.0\ncolumns_px = 0.0\nrows_px = 0.0\nroll_deg = 0.5\n\
                  scale = 1.0\n";
     std::fs::write(&config, std::fs::read_to_string(&config).unwrap() + fault).unwrap();
