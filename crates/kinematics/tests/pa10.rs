@@ -6,8 +6,8 @@ use nalgebra::{Matrix3, SMatrix, Vector3};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, Flange};
 use pb3dp_kinematics::{
-    Chain, DOF, Damping, Jacobian, JointVector, damped_pseudo_inverse, manipulability, reach, singular_values,
-    smallest_singular_value,
+    Chain, DOF, Damping, Jacobian, JointVector, SingularForm, damped_pseudo_inverse, manipulability, reach,
+    singular_values, smallest_singular_value,
 };
 use proptest::prelude::*;
 
@@ -101,6 +101,24 @@ fn forward_and_jacobian_agree_with_pinocchio() {
     ]);
     let jacobian = gen1.jacobian(&asymmetric());
     assert!((jacobian - expected).amax() < 1e-14, "{jacobian}");
+}
+
+/// A path of 5000 steps through a singularity, its elbow.
+#[test]
+fn forms_along_a_path_stay_those_of_single_poses() {
+    let (chain, damping) = (chain(GEN1), Damping::new(0.1, 0.05).unwrap());
+    let mut form = SingularForm::new(&chain.jacobian(&asymmetric()));
+    for step in 0..=5000 {
+        let mut q = asymmetric();
+        q[3] *= 1.0 - f64::from(step) / 2500.0;
+        q[1] += 0.3 * (f64::from(step) / 400.0).sin();
+        let jacobian = chain.jacobian(&q);
+        form = form.near(&jacobian);
+        let alone = SingularForm::new(&jacobian);
+        let (values, inverse) =
+            (form.values() - alone.values(), form.damped_inverse(&damping) - alone.damped_inverse(&damping));
+        assert!(values.amax() < 1e-11 && inverse.amax() < 1e-9, "step {step}: {values} {inverse}");
+    }
 }
 
 // NumPy's LAPACK on Pinocchio's Jacobian of the same pose: linalg.svd, linalg.pinv.

@@ -12,9 +12,7 @@ use nalgebra::Vector3;
 use pb3dp_geometry::frames::{Base, Flange, Hand, Model, Target, World};
 use pb3dp_geometry::{Pose, Twist};
 use pb3dp_kinematics::reach::twist_between;
-use pb3dp_kinematics::{
-    Chain, Damping, EffectiveLimits, JointVector, NotReached, SingularForm, damped_pseudo_inverse, reach,
-};
+use pb3dp_kinematics::{Chain, Damping, EffectiveLimits, JointVector, NotReached, SingularForm, reach};
 
 use crate::trajectory::Trajectory;
 
@@ -124,12 +122,13 @@ pub fn check_experiment(
     let mut position_rad = begin_rad;
     let mut last_velocity = JointVector::zeros();
     let mut range = WorstRange::default();
+    let mut form = SingularForm::new(&chain.jacobian(&position_rad));
     for step in 0..=steps {
         let at_s = step as f64 * requirements.step_s;
         let error = twist_between(&chain.forward(&position_rad), &path.base_from_flange_at(at_s));
         check_follows(&error, at_s).map_err(|refusal| range.or(refusal))?;
         range.note(check_range(limits.operating(), requirements.limit_margin_rad, &position_rad, at_s));
-        let form = SingularForm::new(&chain.jacobian(&position_rad));
+        form = form.near(&chain.jacobian(&position_rad));
         let singular_value = form.smallest_value();
         check_singular_value(singular_value, requirements.singular_value_min, at_s)
             .map_err(|refusal| range.or(refusal))?;
@@ -141,7 +140,8 @@ pub fn check_experiment(
         report.note_joints(limits.operating(), requirements, at_s, &position_rad, &velocity, &last_velocity);
         let half_way_rad = position_rad + velocity * (0.5 * requirements.step_s);
         let twist = path.twist_at(at_s + 0.5 * requirements.step_s).to_vector() + error * CORRECTION_PER_S;
-        let inverse = damped_pseudo_inverse(&chain.jacobian(&half_way_rad), &damping);
+        form = form.near(&chain.jacobian(&half_way_rad));
+        let inverse = form.damped_inverse(&damping);
         position_rad += inverse * twist * requirements.step_s;
         last_velocity = velocity;
     }
