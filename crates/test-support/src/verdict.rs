@@ -5,13 +5,14 @@ use std::time::Duration;
 use crate::witness::{Delay, PERIOD, TOO_LATE, Testimony};
 
 /// Words used by the product and its tests for lateness of threads and lines.
-const LATENESS: [&str; 10] = [
+const LATENESS: [&str; 11] = [
     "began late",
     "cycle-missed",
     "CycleMissed",
     "Overrun",
     "Some(Slow {",
     "in a row without a usable reply",
+    "stopped the arm: host-silent",
     "the newest measurement is",
     "the brakes stay closed",
     "too loaded",
@@ -106,6 +107,8 @@ mod tests {
             ("latched CycleMissed", LATE, Blame::Machine),
             // A driver refuses to enable an arm whose last exchanges were slow.
             ("None Some(Slow { slow: 2, exchanges: 100, worst: 15.2ms })", LATE, Blame::Machine),
+            ("fault: the gateway stopped the arm: host-silent; the program that", LATE, Blame::Machine),
+            ("fault: the gateway stopped the arm: host-silent; the program that", ON_TIME, Blame::Product),
             ("moved by 0.3 rad", LATE, Blame::Unclear),
         ] {
             assert_eq!(judge(text, &[], &seen(late)), expected, "{text}, witness {late:?} late");
