@@ -26,12 +26,14 @@ pub struct Follower {
     marked: Option<(Region, u32)>,
     /// The frame `model` of the next target, in the pair in which it is initialised.
     model: Option<KnownModel>,
+    /// Why the target was not found in the pair in which its frame is known.
+    gone: Option<String>,
 }
 
 impl Follower {
     /// A follower with the search range `range`.
     pub fn new(tracker: Tracker, range: SearchRange) -> Self {
-        Self { tracker, range, marked: None, model: None }
+        Self { tracker, range, marked: None, model: None, gone: None }
     }
 
     /// A follower with the cameras and the parameters of a setup.
@@ -101,11 +103,16 @@ impl Follower {
                     .until(may_continue),
             )?;
             self.marked = Some((region.clone(), 1));
+            // In a later pair nobody knows where its frame is.
+            self.gone = (model.is_some() && self.tracker.wants_region()).then(|| estimate.reason.clone());
             return Ok(estimate);
         }
         let Some((region, tries)) = &mut self.marked else { return Err(EstimationError::NotStarted) };
         if !self.tracker.wants_region() {
             return self.tracker.estimate(EstimateRequest::of_next(left, right, prior).until(may_continue));
+        }
+        if let Some(reason) = &self.gone {
+            return Ok(TrackEstimate::without_pose(Status::Lost, reason.clone()));
         }
         if *tries == TRIES_MAX {
             return Ok(given_up());

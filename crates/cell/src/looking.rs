@@ -320,6 +320,7 @@ impl<'a> Estimating<'a> {
 mod tests {
     use image::{Rgb, RgbImage};
     use pb3dp_estimation::estimator::{Method, Tracker};
+    use pb3dp_estimation_core::method::KnownModel;
     use pb3dp_hal_api::FramePair;
     use pb3dp_hal_clock::VirtualClock;
     use pb3dp_servo::supervisor::FrameInput;
@@ -353,17 +354,59 @@ mod tests {
         Captured { frame, cam_left_from_target: None, view: View::Images(Arc::new(pair)) }
     }
 
-    #[test]
-    fn a_plain_select_returns_to_the_target_of_the_setup() {
-        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml");
-        let setup = read_setup(Path::new(file)).unwrap();
-        let rectangle = |x| Region::Rectangle { x, y: 180, width: 90, height: 90 };
-        let selections = Selections::default();
-        selections.set_target_of_setup(&Marking::Region(rectangle(200)));
+    fn rectangle(x: i32) -> Region {
+        Region::Rectangle { x, y: 180, width: 90, height: 90 }
+    }
+
+    fn estimating<'a>(setup: &'a Setup, selections: &Selections) -> Estimating<'a> {
         let tracker = Tracker::new(Method::Direct, &setup.rig.stereo, &setup.estimator).unwrap();
         let cameras = Perception::Images(Box::new(Follower::new(tracker, setup.range)), Marking::Awaited);
-        let mut estimating = Estimating::new(&setup, Arc::new(VirtualClock::new()), cameras);
+        let mut estimating = Estimating::new(setup, Arc::new(VirtualClock::new()), cameras);
         estimating.selections = Some(selections.clone());
+        estimating
+    }
+
+    fn sim() -> Setup {
+        read_setup(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml"))).unwrap()
+    }
+
+    /// The plane of these images is half a metre away; the target of before was farther.
+    #[test]
+    fn a_target_chosen_again_where_another_surface_is_now_is_not_followed() {
+        let (setup, selections) = (sim(), Selections::default());
+        let mut estimating = estimating(&setup, &selections);
+        let mut look = |sequence: u64, choice: Option<Choice>| {
+            choice.into_iter().for_each(|choice| selections.give(choice));
+            estimating.take_selection();
+            estimating.look(captured(&setup, sequence)).unwrap().estimate
+        };
+        let View::Images(pair) = captured(&setup, 1).view else { panic!("images") };
+        let marked = |model: Option<KnownModel>| {
+            let (region, drawn_on) = (rectangle(350), Some(Arc::clone(&pair)));
+            Some(Choice::Marked(Selection { region, drawn_on, model: model.map(Box::new) }))
+        };
+        let first = look(1, marked(None));
+        let own = first.cam_left_from_model.unwrap();
+        let at = |scale: f64| KnownModel {
+            cam_left_from_model: Pose::from_parts(scale * own.translation_m(), own.rotation()),
+            first_pose_covariance: first.first_pose_covariance.unwrap(),
+        };
+        let again = look(2, marked(Some(at(1.01))));
+        let moved = again.cam_left_from_model.unwrap().translation_m() - at(1.01).cam_left_from_model.translation_m();
+        assert!(again.status == Status::Ok && moved.norm() < 1e-4, "{again:?}");
+        // Nothing else is begun under its name, also not later.
+        for (sequence, choice) in [(3, marked(Some(at(1.2)))), (4, None), (5, None)] {
+            let found = look(sequence, choice);
+            assert!(found.status == Status::Lost && found.reason.contains("another surface"), "{}", found.reason);
+            assert!(found.cam_left_from_model.is_none(), "{found:?}");
+        }
+    }
+
+    #[test]
+    fn a_plain_select_returns_to_the_target_of_the_setup() {
+        let (setup, selections) = (sim(), Selections::default());
+        selections.set_target_of_setup(&Marking::Region(rectangle(200)));
+        let mut estimating = estimating(&setup, &selections);
         let mut look = |sequence: u64, choice: Option<Choice>| {
             choice.into_iter().for_each(|choice| selections.give(choice));
             estimating.take_selection();

@@ -41,6 +41,7 @@ start      follow the target with the hand
 hold       hold both arms; resume continues
 hold hand  hold the camera arm; the arm with the target continues
 resume     continue after a hold
+re-align   approach the pose again, relative to the surface as it is known by now
 stop       stop both arms and close the brakes; reset leaves this state
 reset      clear a stop or a fault after its cause is gone
 status     show the state and what inhibits motion

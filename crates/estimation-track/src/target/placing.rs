@@ -72,13 +72,18 @@ impl Target {
     }
 
     /// Moves the frame `model` to where it was when the target was followed before, in the first pair. What this pair shows of the surface stands
-    /// beside it. A model elsewhere is that of another target.
-    pub(crate) fn restore_model(&mut self, frame: &Frame<'_>, known: &KnownModel, surface: Option<&SurfacePlane>) {
+    /// beside it. Returns whether it did: a model elsewhere is that of another target.
+    pub(crate) fn restore_model(
+        &mut self,
+        frame: &Frame<'_>,
+        known: &KnownModel,
+        surface: Option<&SurfacePlane>,
+    ) -> bool {
         let normal = self.estimate.cam_left_from_model.transform_vector(&Vector3::z());
         let apart = normal
             .dot(&(known.cam_left_from_model.translation_m() - self.estimate.cam_left_from_model.translation_m()));
         if apart.abs() > SAME_SURFACE_SHARE * self.estimate.cam_left_from_model.translation_m().norm() {
-            return;
+            return false;
         }
         self.place_model(known.cam_left_from_model);
         self.settle_in_place(frame);
@@ -86,6 +91,7 @@ impl Target {
         if surface.is_some() {
             self.take_surface(surface);
         }
+        true
     }
 
     /// Evaluates the first pair with the frame `model` where it is.

@@ -167,7 +167,10 @@ impl DirectTracker {
         if how.must_be_surface && !target.is_a_surface() {
             return Ok(blank());
         }
-        self.place_model(&mut target, how);
+        if !self.place_model(&mut target, how) {
+            let reason = "the region shows another surface than that of the target when it was followed: mark it again";
+            return Ok(TrackEstimate { reason: reason.to_owned(), ..blank() });
+        }
         self.load_both(left, right);
         let frame = self.frame();
         target.find_periods(&frame, &pixels[0]);
@@ -184,8 +187,8 @@ impl DirectTracker {
         Ok(estimate)
     }
 
-    /// Places the frame `model` on the visible surface, or where it was before.
-    fn place_model(&mut self, target: &mut Target, how: &Begin<'_, '_>) {
+    /// Places the frame `model` on the visible surface, or where it was before; `false` if that is elsewhere.
+    fn place_model(&mut self, target: &mut Target, how: &Begin<'_, '_>) -> bool {
         let mut seen = None;
         if let Some(request) = how.request.filter(|_| target.has_relief())
             && let Ok(Some(plane)) = self.estimator.plane_of_surface(request)
@@ -193,9 +196,8 @@ impl DirectTracker {
             target.settle_on_surface(&self.frame(), &plane);
             seen = Some(plane);
         }
-        if let Some(known) = how.known {
-            target.restore_model(&self.frame(), known, seen.filter(|_| target.is_on_surface).as_ref());
-        }
+        let seen = seen.filter(|_| target.is_on_surface);
+        how.known.is_none_or(|known| target.restore_model(&self.frame(), known, seen.as_ref()))
     }
 
     /// Width of the border that is excluded: less in a small region, which would lose most of its pixels.
