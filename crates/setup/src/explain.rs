@@ -50,7 +50,7 @@ pub fn explain(key: &str) -> Result<Vec<Explanation>, Vec<String>> {
         let allowed = texts().find_map(|(name, text)| allowed_in(name, text, &of_sample, "1e12"));
         return Ok(vec![Explanation { unit: unit_of(&of_sample), key: of_sample, about, allowed, values: Vec::new() }]);
     }
-    let below = if below.is_empty() { mentioning(&of_sample, &known) } else { below };
+    let below = if below.is_empty() { mentioning(&of_sample, known) } else { below };
     if below.is_empty() {
         let names: Vec<&str> = known.keys().map(String::as_str).collect();
         return Err(nearest(&of_sample, &names).map(str::to_owned).into_iter().collect());
@@ -78,7 +78,7 @@ fn explanation(key: &str, values: Values, allowed: fn(&str, &Values) -> Option<S
 /// Explains every key of the built-in setups.
 #[must_use]
 pub fn explain_all() -> Vec<Explanation> {
-    all_keys().into_iter().map(|(key, values)| explanation(&key, values, allowed)).collect()
+    all_keys().iter().map(|(key, values)| explanation(key, values.clone(), allowed)).collect()
 }
 
 /// Whether a setup accepts a key that no built-in setup has.

@@ -17,6 +17,7 @@ use std::path::{Path, PathBuf};
 
 use figment::value::{Dict, Map, Value};
 use figment::{Figment, Metadata, Profile, Provider};
+use serde::Deserialize;
 
 pub use self::arguments::SetupArgs;
 use self::position::Positions;
@@ -95,16 +96,17 @@ impl Layer {
     /// # Errors
     /// A text that is not valid TOML, with line and column.
     fn of_text(origin: Origin, text: String) -> Result<Self, ConfigError> {
-        if let Err(error) = toml::de::DeTable::parse(&text) {
+        let root = toml::de::DeTable::parse(&text).map_err(|error| {
             let (line, column) = position::line_and_column(&text, error.span().map_or(0, |span| span.start));
             let place = PathBuf::from(format!("{origin}:{line}:{column}"));
-            return Err(ConfigError::Syntax { place, reason: error.message().to_owned() });
-        }
-        let stated = toml::from_str(&text).map_err(|error| ConfigError::Syntax {
+            ConfigError::Syntax { place, reason: error.message().to_owned() }
+        })?;
+        let positions = position::all(&text, root.get_ref());
+        let stated = Dict::deserialize(toml::de::Deserializer::from(root)).map_err(|error| ConfigError::Syntax {
             place: PathBuf::from(origin.to_string()),
             reason: error.to_string(),
         })?;
-        Ok(Self { origin, positions: position::all(&text), stated })
+        Ok(Self { origin, positions, stated })
     }
 
     /// The value of the option `--set KEY=VALUE`.

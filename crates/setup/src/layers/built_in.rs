@@ -1,5 +1,7 @@
 //! Files inside the program: setups and the files that they refer to, so that an installed program works anywhere.
 
+use std::sync::OnceLock;
+
 use figment::value::{Dict, Value};
 
 use super::value_at;
@@ -88,10 +90,13 @@ pub(crate) fn sample(path: &[String]) -> Option<Value> {
         }
         path => path.to_vec(),
     };
-    let texts = [setup("sim")?.text, RIG_EXAMPLE, setup("rig")?.text, setup("hil")?.text, ESTIMATOR, GATEWAY];
-    [path, &of_any_arm]
-        .iter()
-        .find_map(|path| texts.iter().find_map(|text| value_at(&toml::from_str::<Dict>(text).ok()?, path).cloned()))
+    static TABLES: OnceLock<[Dict; 6]> = OnceLock::new();
+    let tables = TABLES.get_or_init(|| {
+        let texts = ["sim", "rig", "hil"].map(|name| setup(name).map_or("", |setup| setup.text));
+        let [sim, rig, hil] = texts;
+        [sim, RIG_EXAMPLE, rig, hil, ESTIMATOR, GATEWAY].map(|text| toml::from_str(text).unwrap_or_default())
+    });
+    [path, &of_any_arm].iter().find_map(|path| tables.iter().find_map(|table| value_at(table, path).cloned()))
 }
 
 /// The text of a built-in file with this path.

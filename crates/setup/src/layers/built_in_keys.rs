@@ -1,6 +1,7 @@
 //! Every key of the built-in setups.
 
 use std::collections::BTreeMap;
+use std::sync::OnceLock;
 
 use super::{Layers, built_in};
 
@@ -13,13 +14,16 @@ pub(crate) fn texts() -> impl Iterator<Item = (&'static str, &'static str)> {
 }
 
 /// Every key of the built-in setups with its values.
-pub(crate) fn all_keys() -> BTreeMap<String, Values> {
-    let mut found: BTreeMap<String, Values> = BTreeMap::new();
-    for (name, text) in texts() {
-        let layers = Layers::of_text(name, text).unwrap_or_default();
-        for setting in layers.effective() {
-            found.entry(setting.key).or_default().push((name, setting.value));
+pub(crate) fn all_keys() -> &'static BTreeMap<String, Values> {
+    static FOUND: OnceLock<BTreeMap<String, Values>> = OnceLock::new();
+    FOUND.get_or_init(|| {
+        let mut found: BTreeMap<String, Values> = BTreeMap::new();
+        for (name, text) in texts() {
+            let layers = Layers::of_text(name, text).unwrap_or_default();
+            for setting in layers.effective() {
+                found.entry(setting.key).or_default().push((name, setting.value));
+            }
         }
-    }
-    found
+        found
+    })
 }

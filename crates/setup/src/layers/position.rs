@@ -13,12 +13,10 @@ pub(super) fn parts(key: &str) -> Vec<&str> {
     key.split(['.', '[']).map(|part| part.trim_end_matches(']')).filter(|part| !part.is_empty()).collect()
 }
 
-/// All keys of a text; none for invalid TOML.
-pub(super) fn all(text: &str) -> Positions {
+/// All keys of a text, with what it has been parsed to.
+pub(super) fn all(text: &str, root: &DeTable<'_>) -> Positions {
     let mut found = Positions::new();
-    if let Ok(root) = DeTable::parse(text) {
-        of_table("", root.get_ref(), &Lines::of(text), &mut found);
-    }
+    of_table("", root, &Lines::of(text), &mut found);
     found
 }
 
@@ -78,7 +76,7 @@ mod tests {
     #[test]
     fn keys_are_found_in_tables_lists_and_dotted_keys() {
         let text = "a.b = 1\n\n[camera]\nfaults = [\n  { kind = \"x\" },\n  { kind = \"y\", share = 2 },\n]\n[[list]]\nk = [1, 22]\n";
-        let found = all(text);
+        let found = all(text, DeTable::parse(text).unwrap().get_ref());
         for (key, at) in
             [("a.b", (1, 3)), ("camera", (3, 2)), ("camera.faults[1].share", (6, 17)), ("list[0].k[1]", (9, 9))]
         {

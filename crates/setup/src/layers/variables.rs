@@ -42,7 +42,7 @@ fn refused(name: &str, why: &str) -> ConfigError {
 /// The key that a name with one underscore in place of two means.
 fn meant_by(name: &str) -> Option<String> {
     let name = name.to_lowercase();
-    all_keys().into_keys().find(|key| key.replace('.', "_") == name)
+    all_keys().keys().find(|key| key.replace('.', "_") == name).cloned()
 }
 
 fn layer(name: &str, value: &str) -> Result<Layer, ConfigError> {
