@@ -11,7 +11,7 @@ use pb3dp_estimation_direct::estimator::DirectConfig;
 use pb3dp_estimation_track::{DirectTracker, DirectTrackerConfig};
 use pb3dp_geometry::frames::{CamLeft, Model, Target};
 use pb3dp_geometry::{Pose, so3};
-use pb3dp_test_support::sweep;
+use pb3dp_test_support::{scenes, sweep};
 
 use crate::moving_plane::{plane, rectified_rig, region};
 use crate::painted::{Paint, chessboard, edge, grid, pair, rings, stripes, texture};
@@ -156,7 +156,7 @@ fn swinging(t: f64) -> Pose<CamLeft, Target> {
 /// In a long sequence, too, no frame is `ok` that misses a direction, and a frame that is `ok` is right. `hidden`: the direction that the
 /// target never shows.
 fn check_long(name: &str, paint: Paint, half_px: Option<u32>, hidden: Option<usize>) {
-    let frames = sweep(40, 1000);
+    let frames = sweep(40, scenes(0, 250).count() as u32);
     let tracked = track_along(paint, half_px, frames, swinging);
     let is_ok = |t: &&Tracked| t.estimate.status == Status::Ok;
     let misses = |t: &&Tracked| hidden.is_some() || t.estimate.observed != Some([true; 6]);

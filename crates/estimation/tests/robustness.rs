@@ -23,27 +23,27 @@ fn survives_seeded_bytes(target: &str, cases: u32, length: std::ops::Range<usize
 
 #[test]
 fn every_method_survives_any_pair() {
-    survives_seeded_bytes("estimators", sweep(96, 960), 0..64, abuse::every_method_survives);
+    survives_seeded_bytes("estimators", sweep(96, 384), 0..64, abuse::every_method_survives);
 }
 
 #[test]
 fn images_in_any_form_give_the_same_answers() {
-    survives_seeded_bytes("images", sweep(64, 1280), 0..64, abuse::images_in_any_form_survive);
+    survives_seeded_bytes("images", sweep(64, 256), 0..64, abuse::images_in_any_form_survive);
 }
 
 #[test]
 fn regions_with_any_numbers_are_masks_or_refused() {
-    survives_seeded_bytes("regions", sweep(1000, 20_000), 0..200, abuse::regions_with_any_numbers_survive);
+    survives_seeded_bytes("regions", sweep(1000, 4000), 0..200, abuse::regions_with_any_numbers_survive);
 }
 
 #[test]
 fn every_method_survives_calibrations_with_any_numbers() {
-    survives_seeded_bytes("calibrations", sweep(200, 4000), 0..128, abuse::calibrations_with_any_numbers_survive);
+    survives_seeded_bytes("calibrations", sweep(200, 800), 0..128, abuse::calibrations_with_any_numbers_survive);
 }
 
 #[test]
 fn every_method_survives_priors_with_any_numbers() {
-    survives_seeded_bytes("priors", sweep(64, 1280), 0..128, abuse::priors_with_any_numbers_survive);
+    survives_seeded_bytes("priors", sweep(64, 256), 0..128, abuse::priors_with_any_numbers_survive);
 }
 
 /// The extreme cases by name, so that every run covers them: every pattern, in images of 100, 1, 3 and 16 pixels.
