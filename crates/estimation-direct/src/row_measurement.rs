@@ -16,11 +16,12 @@ use pb3dp_estimation_core::rig_errors::{
     ERRORS, ErrorCovariance, ErrorVector, MOVED_FROM, OFFSET, PlanePlace, ROLL, RigErrors, SCALE,
 };
 use pb3dp_estimation_core::rng::SplitMix64;
+use pb3dp_estimation_core::row_offset::RowOffset;
 use pb3dp_geometry::StereoRig;
 
 use self::patch::{CORRELATION_MIN, CoarseSearch, GRADIENT_MIN, Patch, RADIUS, refine};
 pub use self::target::{KnownTarget, MotionSigmas, RegionRows};
-use super::colour_planes::Wanted;
+use super::colour_planes::{ColourPlanes, UNSEEN, Wanted};
 use super::disparity_plane::{DisparityRange, RectifiedGeometry};
 use super::front_end::{Side, StereoFrontEnd};
 use super::image_plane::PixelWindow;
@@ -166,11 +167,18 @@ impl RowMeter {
     }
 }
 
+/// The rectified images of a pair, with the rows of the right one moved as some errors say.
+#[derive(Debug, Default)]
+struct Shown {
+    pyramid: RegionPyramid,
+    rows: Option<RowOffset>,
+}
+
 fn measure_rows(meter: &RowMeter, images: (ImageView<'_>, ImageView<'_>), before: Option<&RigErrors>) -> RigErrors {
-    let mut pyramid = RegionPyramid::default();
+    let mut shown = Shown::default();
     let mut measure = |errors| {
         let start = RigErrors { errors, ..meter.nothing };
-        measure_from(meter, images, start, &mut pyramid)
+        measure_from(meter, images, start, &mut shown)
     };
     let (first, is_plain) = measure(before.map_or(ErrorVector::zeros(), |before| before.errors));
     let (is_found, scatters) = (is_enough(&first), first.spread_px > SPREAD_DOUBT_PX);
@@ -205,7 +213,7 @@ fn measure_from(
     meter: &RowMeter,
     images: (ImageView<'_>, ImageView<'_>),
     start: RigErrors,
-    pyramid: &mut RegionPyramid,
+    shown: &mut Shown,
 ) -> (RigErrors, bool) {
     let (mut best, mut level, mut textured) = (start, COARSE, 0);
     for search in SEARCHES {
@@ -217,7 +225,7 @@ fn measure_from(
             continue;
         }
         let measured;
-        (measured, textured) = meter.measured_near(&best, search, images, pyramid);
+        (measured, textured) = meter.measured_near(&best, search, images, shown);
         let found = better(best, measured);
         if found != best {
             (best, level) = (found, search.0);
@@ -228,7 +236,7 @@ fn measure_from(
         if meter.largest_px(&best) < AGAIN_FROM_PX {
             break;
         }
-        let (again, _) = meter.measured_near(&best, (level, AGAIN_REACH_PX >> level), images, pyramid);
+        let (again, _) = meter.measured_near(&best, (level, AGAIN_REACH_PX >> level), images, shown);
         if information(&again) <= information(&best) {
             break;
         }
@@ -250,7 +258,7 @@ impl RowMeter {
         known: &RigErrors,
         (level, reach): (usize, i64),
         images: (ImageView<'_>, ImageView<'_>),
-        pyramid: &mut RegionPyramid,
+        shown: &mut Shown,
     ) -> (RigErrors, usize) {
         let (front_end, geometry) = (&self.front_end, self.front_end.geometry());
         let middle = front_end.middle();
@@ -276,23 +284,25 @@ impl RowMeter {
             wanted: Wanted::Luminance,
             search_area_px: usize::MAX,
         };
-        let (matches, textured) = self.matches(&source, |_| Some(source.disparity_px), (level, reach), pyramid);
+        if shown.rows != Some(source.rows) {
+            shown.pyramid.update(front_end, &source);
+            shown.rows = Some(source.rows);
+        }
+        let any = |_: &Vector2<f64>| Some(source.disparity_px);
+        let (matches, textured) = self.matches(&source.rows, any, (level, reach), &shown.pyramid);
         (fit(&matches, geometry, self.nothing), textured)
     }
 
     /// Matches of the points in a region that the search on a level finds, with the rows of the unmoved right image; and the number of points
-    /// with texture. `disparity_px`: where to search for a rectified left pixel.
+    /// with texture. `rows`: how the pyramid shows them; `disparity_px`: where to search for a rectified left pixel.
     fn matches(
         &self,
-        source: &PyramidSource<'_>,
+        rows: &RowOffset,
         disparity_px: impl Fn(&Vector2<f64>) -> Option<DisparityRange>,
         (coarse, reach): (usize, i64),
-        pyramid: &mut RegionPyramid,
+        pyramid: &RegionPyramid,
     ) -> (Vec<RowMatch>, usize) {
-        if !pyramid.update(&self.front_end, source) || pyramid.levels().len() <= coarse {
-            return (Vec::new(), 0);
-        }
-        let level = &pyramid.levels()[coarse];
+        let Some(level) = pyramid.levels().get(coarse) else { return (Vec::new(), 0) };
         let (columns, lines) = (level.left.window.width, level.left.window.height);
         let margin = RADIUS + 2;
         let mut search = CoarseSearch::new(level, reach, self.front_end.kernels());
@@ -309,7 +319,7 @@ impl RowMeter {
             let Some(range) = disparity_px(&level.full_from_level(&point.map(|at| at as f64))) else { continue };
             let Some(mut found) = find_again(levels, &mut search, &patch, (point, range)) else { continue };
             // The pyramid shows the right image with its rows moved.
-            found.right_px.y += source.rows.at(&found.right_px);
+            found.right_px.y += rows.at(&found.right_px);
             matches.push(found);
         }
         (matches, textured)
@@ -344,7 +354,20 @@ fn ray_and_disparity(found: &RowMatch, geometry: &RectifiedGeometry) -> (Vector2
 fn textured_patch(level: &RegionLevel, point: Vector2<i64>) -> Option<Patch> {
     // Noise halves with the size.
     let gradient_min = GRADIENT_MIN * f64::from(1 << COARSE) / level.scale as f64;
-    Patch::take(level.left.luminance(), point).filter(|patch| patch.gradient >= gradient_min)
+    let patch = Patch::take(level.left.luminance(), point).filter(|patch| patch.gradient >= gradient_min);
+    patch.filter(|_| is_seen(&level.left, point))
+}
+
+/// Whether the raw image shows the whole patch: the border of what it shows is no texture.
+fn is_seen(planes: &ColourPlanes, place: Vector2<i64>) -> bool {
+    let radius = RADIUS as i64;
+    let inside =
+        |at: i64, length: usize| (at - radius).max(0) as usize..((at + radius + 1).max(0) as usize).min(length);
+    let columns = inside(place.x, planes.window.width);
+    inside(place.y, planes.window.height).all(|y| {
+        let row = &planes.flags[y * planes.window.width..][columns.clone()];
+        row.iter().all(|flags| flags & UNSEEN == 0)
+    })
 }
 
 /// The match of a patch of the last level.
@@ -369,6 +392,9 @@ fn find_again(
         place = found;
     }
     let (left, right) = (&levels[0].left, &levels[0].right);
+    if !is_seen(right, place) {
+        return None;
+    }
     let (shift, row_variance) = refine(left.luminance(), right.luminance(), at, place)?;
     let whole = |window: PixelWindow, px: Vector2<i64>| {
         Vector2::new(px.x as f64 + f64::from(window.x), px.y as f64 + f64::from(window.y))

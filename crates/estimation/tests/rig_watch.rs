@@ -15,8 +15,8 @@ use pb3dp_estimation_core::rig_errors::{BASELINE, ErrorVector, PITCH, PlanePlace
 use pb3dp_estimation_core::rng::SplitMix64;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_estimation_test_support::scene;
-use pb3dp_geometry::frames::CamRight;
-use pb3dp_geometry::{Camera, ImageSize, Pinhole, Pose, StereoRig, so3};
+use pb3dp_geometry::frames::{CamLeft, CamRight};
+use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig, so3};
 
 use crate::plane_pair::{self, Paint, Plane, SeenPlane, Texture};
 
@@ -278,7 +278,7 @@ fn long_sweep(rigs: Vec<StereoRig>, how: (Make, Answers), count: u64) {
     let rigs = pb3dp_test_support::sweep(vec![], rigs);
     std::thread::scope(|scope| {
         for rig in &rigs {
-            scope.spawn(|| sweep(rig, how, &[0.1, 0.2, 0.5, 1.0, 2.0], seeds.clone()));
+            scope.spawn(|| sweep(rig, how, &[0.2, 1.0], seeds.clone()));
         }
     });
 }
@@ -341,6 +341,20 @@ fn another_focal_length_is_not_taken_for_rectified_images() {
         for objection in [watch.objection(), of_unequal.objection()] {
             assert!(objection.is_some_and(|reason| !reason.contains("--rectified")), "{fault:?}");
         }
+    }
+}
+
+/// The border of what rectified images show of raw ones has a strong edge, in every pair at the same place.
+#[test]
+fn the_border_of_the_images_is_no_texture() {
+    let wall = RgbImage::from_pixel(SIZE.width, SIZE.height, Rgb([90, 100, 80]));
+    let turn = so3::exp(&Vector3::new(0.004, -0.02, 0.003));
+    let pose: Pose<CamRight, CamLeft> = Pose::from_parts(Vector3::new(-0.1, 0.015, 0.001), turn);
+    let pinhole = |f, cx, cy| Camera::new(SIZE, Pinhole { fx: f, fy: f, cx, cy }, Distortion::None).unwrap();
+    let turned = StereoRig::new(pinhole(740.0, 316.0, 242.0), pinhole(732.0, 323.0, 236.0), pose).unwrap();
+    for rig in [scene::general_rig(SIZE), turned] {
+        let mut watch = RigWatch::new(&rig).unwrap();
+        assert_eq!(watch.look(&wall, &wall).unwrap().matches, 0);
     }
 }
 

@@ -151,9 +151,11 @@ impl RowMeter {
         };
         let rows = RowOffset { offset_px: moved.offset_px + target.row_offset_px, ..moved };
         let source = source_of_region(images, region, disparity_px, rows);
+        let mut pyramid = RegionPyramid::default();
+        pyramid.update(&self.front_end, &source);
         let mut matches = Vec::new();
         for search in SEARCHES {
-            let (found, _) = self.matches(&source, |px| expected.near(px), search, &mut RegionPyramid::default());
+            let (found, _) = self.matches(&rows, |px| expected.near(px), search, &pyramid);
             if found.len() > matches.len() {
                 matches = found;
             }
@@ -182,8 +184,10 @@ impl RowMeter {
         let region = front_end.rectified_region(&raw, &mut buffer).ok()?;
         let [near, far] = DEPTH_SHARES.map(|share| geometry.disparity_px(depth_m * share));
         let disparity_px = DisparityRange { lowest: far, highest: near };
-        let source = source_of_region(images, region, disparity_px, RowOffset::default());
-        let (matches, _) = self.matches(&source, |_| Some(disparity_px), REGION_SEARCH, &mut RegionPyramid::default());
+        let rows = RowOffset::default();
+        let mut pyramid = RegionPyramid::default();
+        pyramid.update(front_end, &source_of_region(images, region, disparity_px, rows));
+        let (matches, _) = self.matches(&rows, |_| Some(disparity_px), REGION_SEARCH, &pyramid);
         let focal_px = geometry.focal_px.y;
         let offsets = || matches.iter().map(|found| found.offset_px() / focal_px);
         let offset = median(offsets().collect());
