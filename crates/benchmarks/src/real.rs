@@ -4,6 +4,7 @@
 //! defines the pass criteria; [`table`] computes the rows, [`page`] writes the document and [`plot`] its figure.
 
 pub mod cases;
+mod first_poses;
 mod left_out;
 mod ours;
 mod page;
@@ -63,6 +64,9 @@ pub struct Args {
     left_out: left_out::LeftOutArgs,
     #[command(flatten)]
     sequences: sequences::SequenceArgs,
+    /// Compares the first poses of tracks on planar cases with their stated standard deviations, instead of measuring methods.
+    #[arg(long)]
+    first_poses: bool,
     /// Does not change docs/benchmarks.
     #[arg(long)]
     no_docs: bool,
@@ -86,6 +90,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     if args.left_out.is_wanted() {
         return left_out::run(args, &folder);
+    }
+    if args.first_poses {
+        return first_poses::run(args, &folder);
     }
     let peers_script = args.peers.as_deref().map(peers::script_in).transpose()?;
     let entries = measure(args, &folder, peers_script.as_deref())?;

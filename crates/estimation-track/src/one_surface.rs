@@ -45,6 +45,8 @@ pub(super) struct Part {
     pub(super) plane: Vector3<f64>,
     /// Per node of the relief: whether it belongs to the part.
     pub(super) nodes: Vec<bool>,
+    /// Share of the points.
+    pub(super) share: f64,
 }
 
 /// The first stereo pair at the points of full resolution.
@@ -111,7 +113,8 @@ pub(super) fn largest_part(surface: &Surface, pair: Pair<'_>, of_several: bool) 
     let is_curved = lies_off_plane(of_part(), &plane, relief, CURVED_FROM_PX);
     let beside_min = if of_several && !is_curved { BESIDE_SEVERAL_MIN } else { BESIDE_MIN };
     let beside = sum(false) - sum(true);
-    (beside > 0.0 && beside >= beside_min * sum(false)).then_some(Part { plane, nodes: kept })
+    let share = sum(true) / sum(false);
+    (beside > 0.0 && beside >= beside_min * sum(false)).then_some(Part { plane, nodes: kept, share })
 }
 
 /// Whether the surface is curved.

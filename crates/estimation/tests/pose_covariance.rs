@@ -3,7 +3,7 @@
 
 use nalgebra::Matrix6;
 use pb3dp_estimation::calibration_term::CalibrationTerm;
-use pb3dp_estimation::estimator::{EstimatorConfig, Method, Tracker};
+use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method, Tracker};
 use pb3dp_estimation_core::estimate::{SurfaceEstimate, TrackEstimate};
 use pb3dp_estimation_core::method::{EstimateRequest, FramePrior, KnownModel};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
@@ -67,6 +67,24 @@ fn a_target_that_is_marked_again_has_its_model_from_before() {
     };
     let other = estimate(7, Some((&part, Some(&far))));
     assert!(other.cam_left_from_model.is_none() && other.reason.contains("another surface"), "{}", other.reason);
+}
+
+/// What real surfaces do to a plane is in the covariance of a single pair, and so in that of the first pair of a track.
+#[test]
+fn the_first_pose_is_no_more_certain_than_the_plane_that_defines_it() {
+    let rig = general_rig();
+    let range = SearchRange { z_min_m: 0.3, z_max_m: 0.7, tilt_max_rad: 0.8 };
+    let shot = Shot { cam_left_from_target: Some(moving(0.0)), frame: 0, right_gain: 1.0 };
+    let ((left, right), region) = (render(&rig, &shot), region(&rig, &moving(0.0)));
+    let request = || EstimateRequest::of_target(&left, &right, &region, &range);
+    let mut estimator = Estimator::new(Method::Direct, &rig, &EstimatorConfig::default()).expect("estimator");
+    let alone = estimator.estimate(request()).expect("valid images").plane_covariance.expect("a covariance");
+    let mut tracker = Tracker::new(Method::Direct, &rig, &EstimatorConfig::default()).expect("tracker");
+    let tracked = tracker.estimate(request()).expect("valid images").first_pose_covariance.expect("a covariance");
+    for (own, of_plane) in [(2, 0), (3, 1), (4, 2)] {
+        let ratio = (tracked[(own, own)] / alone[(of_plane, of_plane)]).sqrt();
+        assert!(ratio > 0.99, "{ratio}");
+    }
 }
 
 /// Frames of a target that moves in six directions, whose right image is exposed later by a skew that is known.

@@ -2,10 +2,12 @@
 
 use std::fmt::Write;
 
-use nalgebra::Matrix6;
-use pb3dp_estimation_core::estimate::{PlaneEstimate, SHIFT_SIGMA_SURE, TrackEstimate};
+use nalgebra::{Matrix6, Vector3};
+use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose, SHIFT_SIGMA_SURE, TrackEstimate};
 use pb3dp_estimation_core::method::FramePrior;
 use pb3dp_estimation_core::status::Status;
+use pb3dp_geometry::Pose;
+use pb3dp_geometry::frames::{CamLeft, Model};
 
 use super::DirectTracker;
 use crate::target::Target;
@@ -35,15 +37,32 @@ fn with_diagonal(mut covariance: Matrix6<f64>, variances: [f64; 3]) -> Matrix6<f
     covariance
 }
 
+/// A plane relative to the frame of a pose: its depth along the normal, metres, and its tilts about x and y, radians.
+fn apart(pose: &Pose<CamLeft, Model>, plane: &PlanePose) -> [f64; 3] {
+    let (origin, normal) = (pose.translation_m(), pose.transform_vector(&Vector3::z()));
+    let inverse_depth = plane.inverse_depth_plane.dot(&origin);
+    // A small turn of the plane about x moves its normal against y, one about y along x.
+    let turned = pose.inverse().transform_vector(&plane.inverse_depth_plane.normalize());
+    [(1.0 / inverse_depth - 1.0) * normal.dot(&origin), -turned.y, turned.x]
+}
+
 impl DirectTracker {
-    /// The first pose on a curved surface whose frame is not that of the visible surface, with the errors of the plane that defines it: the tilt of a
-    /// curved surface is no more certain than that plane. Later poses are measured relative to the first one.
+    /// The first pose of a target whose frame is not that of the visible surface, with the errors of the plane that defines it: its equations contain
+    /// the noise of the images, but not what real surfaces, lenses and light do to a plane. If a part of the region is followed, it may have
+    /// another plane than the region; their difference counts as error. Later poses are measured relative to the first one.
     pub(super) fn with_errors_of_plane(&self, first: TrackEstimate, found: &PlaneEstimate) -> TrackEstimate {
-        let is_wanted = |target: &Target| !target.is_on_surface && target.is_curved();
-        let of_plane = found.plane_covariance.filter(|_| self.target.as_ref().is_some_and(is_wanted));
-        let (Some(covariance), Some(of_plane)) = (first.covariance, of_plane) else { return first };
-        let variances = PLANE_AXES.map(|axis| covariance[(axis, axis)].max(of_plane[(axis - 2, axis - 2)]));
-        self.with_variances(first, variances, "the plane of the surface has")
+        let is_part = first.warnings.iter().any(|warning| matches!(warning, EstimateWarning::PartFollowed { .. }));
+        let is_wanted = |target: &&Target| !target.is_on_surface || (is_part && !target.is_curved());
+        let Some(target) = self.target.as_ref().filter(is_wanted) else { return first };
+        let (Some(covariance), Some(of_plane)) = (first.covariance, found.plane_covariance) else { return first };
+        let apart = first.cam_left_from_model.zip(found.pose).map_or([0.0; 3], |(pose, plane)| apart(&pose, &plane));
+        let variance = |k: usize| covariance[(PLANE_AXES[k], PLANE_AXES[k])].max(of_plane[(k, k)]) + apart[k].powi(2);
+        // A plane was judged by its own limit before.
+        let limit_deg = match target.is_curved() {
+            true => self.config.tilt_sigma_sure_deg,
+            false => self.estimator.config().verdict.normal_sigma_max_deg,
+        };
+        self.with_variances(first, std::array::from_fn(variance), limit_deg, "the plane of the surface has")
     }
 
     /// The first pose of a target that may move between the two exposures, with the errors of this motion. The second frame shows how it moves,
@@ -65,8 +84,8 @@ impl DirectTracker {
             std::array::from_fn(|k| covariance[(PLANE_AXES[k], PLANE_AXES[k])] + sigmas[k].powi(2))
         };
         let variances = variances_of(skew_s.hypot(skew_sigma_s));
-        let first =
-            self.with_variances(first, variances, "the target may have moved between the exposures, so the tilt has");
+        let what = "the target may have moved between the exposures, so the tilt has";
+        let first = self.with_variances(first, variances, self.config.tilt_sigma_sure_deg, what);
         if let Some(target) = &mut self.target {
             target.first_pose_covariance = first.covariance;
             target.first_pose_covariance_at_rest = Some(with_diagonal(covariance, variances_of(skew_sigma_s)));
@@ -75,13 +94,19 @@ impl DirectTracker {
         TrackEstimate { first_pose_covariance: first.covariance, surface, ..first }
     }
 
-    /// A pose with other variances of depth and tilts.
-    fn with_variances(&self, mut first: TrackEstimate, variances: [f64; 3], what_has: &str) -> TrackEstimate {
+    /// A pose with other variances of depth and tilts, and the limit of the latter's standard deviation.
+    fn with_variances(
+        &self,
+        mut first: TrackEstimate,
+        variances: [f64; 3],
+        limit_deg: f64,
+        what_has: &str,
+    ) -> TrackEstimate {
         first.covariance = first.covariance.map(|covariance| with_diagonal(covariance, variances));
-        let (tilt_deg, limit) = (variances[1].max(variances[2]).sqrt().to_degrees(), self.config.tilt_sigma_sure_deg);
-        if first.status == Status::Ok && tilt_deg > limit {
+        let tilt_deg = variances[1].max(variances[2]).sqrt().to_degrees();
+        if first.status == Status::Ok && tilt_deg > limit_deg {
             first.status = Status::WeakTilt;
-            first.reason = format!("{what_has} a standard deviation of {tilt_deg:.1} degrees (limit {limit:.1})");
+            first.reason = format!("{what_has} a standard deviation of {tilt_deg:.1} degrees (limit {limit_deg:.1})");
         }
         first
     }
