@@ -83,9 +83,14 @@ impl DirectTracker {
             let sigmas = rates.map(|rate| rate * skew_s * depth_per_baseline);
             std::array::from_fn(|k| covariance[(PLANE_AXES[k], PLANE_AXES[k])] + sigmas[k].powi(2))
         };
-        let variances = variances_of(skew_s.hypot(skew_sigma_s));
-        let what = "the target may have moved between the exposures, so the tilt has";
-        let first = self.with_variances(first, variances, self.config.tilt_sigma_sure_deg, what);
+        let skew_in_all_s = skew_s.hypot(skew_sigma_s);
+        let first = match skew_in_all_s > 0.0 {
+            true => {
+                let what = "the target may have moved between the exposures, so the tilt has";
+                self.with_variances(first, variances_of(skew_in_all_s), self.config.tilt_sigma_sure_deg, what)
+            }
+            false => first,
+        };
         if let Some(target) = &mut self.target {
             target.first_pose_covariance = first.covariance;
             target.first_pose_covariance_at_rest = Some(with_diagonal(covariance, variances_of(skew_sigma_s)));
@@ -103,10 +108,14 @@ impl DirectTracker {
         what_has: &str,
     ) -> TrackEstimate {
         first.covariance = first.covariance.map(|covariance| with_diagonal(covariance, variances));
-        let tilt_deg = variances[1].max(variances[2]).sqrt().to_degrees();
-        if first.status == Status::Ok && tilt_deg > limit_deg {
-            first.status = Status::WeakTilt;
-            first.reason = format!("{what_has} a standard deviation of {tilt_deg:.1} degrees (limit {limit_deg:.1})");
+        let tilt_deg = (variances[1] + variances[2]).sqrt().to_degrees();
+        if first.status == Status::Ok {
+            let (status, what, end) = match tilt_deg <= limit_deg {
+                true => (Status::Ok, "the normal has", ": the tilt is determined"),
+                false => (Status::WeakTilt, what_has, ""),
+            };
+            first.status = status;
+            first.reason = format!("{what} a standard deviation of {tilt_deg:.2} degrees (limit {limit_deg:.2}){end}");
         }
         first
     }
