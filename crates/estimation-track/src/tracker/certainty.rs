@@ -52,7 +52,11 @@ impl DirectTracker {
     /// another plane than the region; their difference counts as error. Later poses are measured relative to the first one.
     pub(super) fn with_errors_of_plane(&self, first: TrackEstimate, found: &PlaneEstimate) -> TrackEstimate {
         let is_part = first.warnings.iter().any(|warning| matches!(warning, EstimateWarning::PartFollowed { .. }));
-        let is_wanted = |target: &&Target| !target.is_on_surface || (is_part && !target.is_curved());
+        // A model of before has its own errors.
+        let is_wanted = |target: &&Target| {
+            let is_new = target.first_pose_covariance.is_none();
+            is_new && (!target.is_on_surface || (is_part && !target.is_curved()))
+        };
         let Some(target) = self.target.as_ref().filter(is_wanted) else { return first };
         let (Some(covariance), Some(of_plane)) = (first.covariance, found.plane_covariance) else { return first };
         let apart = first.cam_left_from_model.zip(found.pose).map_or([0.0; 3], |(pose, plane)| apart(&pose, &plane));
