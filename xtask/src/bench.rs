@@ -8,6 +8,7 @@ use anyhow::{Context, bail};
 use clap::ValueEnum;
 use serde_json::{Value, json};
 
+use crate::safeguard_switches;
 use crate::workspace::{Workspace, run_visibly};
 
 const OUT: &str = "out/bench";
@@ -37,7 +38,7 @@ const QUICK_ROUNDS: &str = "40";
 ///         fails if an invariant is violated, and prints the command to repeat that run: --runs N, --trace, --quick (200 runs, no page),
 ///         --seed N (without it a fresh seed is drawn and printed; a full run also repeats the seeds that once found something),
 ///         --rendered N (repeats the first N runs with rendered images); a run of default length writes docs/benchmarks/safety.md.
-///         --disabled, in a separate build: disables each safeguard, which must cause a violation; --only NAME: some of them;
+///         --disabled, in a copy with the switches of tests/safeguards.toml: disables each safeguard, which must cause a violation; --only NAME: some of them;
 ///         a run with all safeguards writes their part of that page
 /// calibration  accuracy of chessboard corners and of the calibrations from them, on rendered boards with exact truth and on real
 ///         boards; fails if a limit is missed (some minutes; --quick: a minute; --boards adds real boards; --seed N).
@@ -146,17 +147,28 @@ fn servo(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
     run_visibly(&mut command)
 }
 
+/// Disables each safeguard: each must be needed, and sufficient alone.
+///
+/// # Errors
+/// If one is not.
+pub fn safeguards(workspace: &Workspace) -> anyhow::Result<()> {
+    safety(workspace, &["--disabled".to_owned(), "--only".to_owned(), String::new()])
+}
+
 /// Runs the example `safety`; a full run writes its page.
 fn safety(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
-    let mut command = workspace.cargo();
-    command.args(["run", "--release", "--locked", "--package", "pb3dp-benchmarks", "--example", "safety"]);
-    // Only this build can disable safeguards.
-    if options.iter().any(|option| option == "--disabled") {
-        command.args(["--config", "profile.release.debug-assertions=true"]);
-    }
+    let mut command = match options.iter().any(|option| option == "--disabled") {
+        true => safeguard_switches::run(workspace)?,
+        false => {
+            let mut command = workspace.cargo();
+            command.args(["run", "--release"]);
+            command
+        }
+    };
+    command.args(["--locked", "--package", "pb3dp-benchmarks", "--example", "safety"]);
     command.args(["--", "--origin", &origin(workspace)]).args(options);
     if options.is_empty() || options == ["--disabled"] {
-        command.args(["--page", PAGES]);
+        command.arg("--page").arg(workspace.root().join(PAGES));
     }
     run_visibly(&mut command)
 }

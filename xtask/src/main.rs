@@ -26,6 +26,7 @@ mod recordings;
 mod reference;
 mod required;
 mod rust_text;
+mod safeguard_switches;
 mod same_answers;
 mod scratch;
 mod seeded_bugs;

@@ -22,13 +22,6 @@ use crate::commands::report::ReportArgs;
 use crate::commands::rig::RigArgs;
 use crate::logging::LogFormat;
 
-/// A test build must not be mistaken for a program that may drive a real arm.
-const VERSION: &str = if pb3dp_safeguards::CAN_BE_OFF {
-    concat!(env!("CARGO_PKG_VERSION"), " (test build: safeguards can be disabled)")
-} else {
-    env!("CARGO_PKG_VERSION")
-};
-
 /// Help footer of every command except `doctor`, which has its own.
 const EXIT_CODES: &str = "\
 Exit codes: 0 good; 1 failed; 2 the command line is not understood; 3 unsure (--strict) or different (config diff, replay)";
@@ -48,7 +41,7 @@ impl Cli {
 
 /// Stereo vision and visual servoing without object models: the pose of any object from one calibrated stereo pair.
 #[derive(Debug, Parser)]
-#[command(name = "pb3dp", version = VERSION, propagate_version = true, max_term_width = 100, after_help = EXIT_CODES)]
+#[command(name = "pb3dp", version, propagate_version = true, max_term_width = 100, after_help = EXIT_CODES)]
 pub struct Cli {
     /// The command.
     #[command(subcommand)]

@@ -10,7 +10,6 @@ use nalgebra::{Matrix6, Vector3};
 use pb3dp_geometry::frames::{Base, Hand, Model};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_kinematics::{Chain, Damping, EffectiveLimits, JointState, JointVector};
-use pb3dp_safeguards::{Safeguard, is_off};
 
 use crate::config::ControllerConfig;
 use crate::config_error::ConfigError;
@@ -318,13 +317,13 @@ impl Controller {
         let age_s = now.seconds_since(joints.at);
         let ahead = age_s < -self.config.timeouts.joints_s;
         let pushed = self.history.push(*joints);
-        if (back || ahead || !pushed) && !is_off(Safeguard::JointsForward) {
+        if back || ahead || !pushed {
             self.history.clear();
             self.given.clear();
             self.lose();
             return Err(HoldReason::ClockStepped);
         }
-        if age_s > self.config.timeouts.joints_s && !is_off(Safeguard::JointsAge) {
+        if age_s > self.config.timeouts.joints_s {
             return Err(HoldReason::JointsStale { age_s });
         }
         Ok(())
@@ -337,14 +336,14 @@ impl Controller {
             return ObservationVerdict::NoneNew;
         }
         let age_s = now.seconds_since(observation.at);
-        if !(0.0..=self.config.timeouts.observation_s).contains(&age_s) && !is_off(Safeguard::ObservationAge) {
+        if !(0.0..=self.config.timeouts.observation_s).contains(&age_s) {
             return ObservationVerdict::WrongTime { age_s };
         }
         self.handled_at = Some(observation.at);
         if !observation.cam_left_from_model.is_finite() {
             return ObservationVerdict::NotFinite;
         }
-        if !observation.trusted && !is_off(Safeguard::ObservationTrust) {
+        if !observation.trusted {
             return ObservationVerdict::Untrusted;
         }
         match self.history.position_at(observation.at) {
@@ -389,7 +388,7 @@ impl Controller {
         let Some(observed_at) = self.target.observed_at() else {
             return if self.lost { Mode::Lost } else { Mode::Idle };
         };
-        let age_s = if is_off(Safeguard::ObservationAge) { 0.0 } else { now.seconds_since(observed_at) };
+        let age_s = now.seconds_since(observed_at);
         if age_s > self.config.timeouts.lost_s {
             self.lose();
             if self.lost { Mode::Lost } else { Mode::Idle }

@@ -18,7 +18,6 @@ pub mod table;
 mod words;
 
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_safeguards::{Safeguard, is_off};
 
 pub use self::findings::{Cause, Detail};
 pub use self::inputs::{
@@ -273,7 +272,7 @@ impl Supervisor {
 
     /// Whether this time is long enough for a command: an intermittent cause must not count as gone between two images.
     fn is_clear(&self) -> bool {
-        self.clear_since.is_some() && (self.clear_for_s() >= self.config.go_after_s || is_off(Safeguard::ClearForWords))
+        self.clear_since.is_some() && self.clear_for_s() >= self.config.go_after_s
     }
 
     /// Begin and end of a hold for a part that stands still for a moment.
@@ -394,9 +393,6 @@ impl Supervisor {
 
     /// Reason to refuse a command because of its time.
     fn untimely(&self, said: OperatorRequest, now: MonotonicTime) -> Option<RefusedFor> {
-        if is_off(Safeguard::TimelyWords) {
-            return None;
-        }
         let age_s = now.seconds_since(said.at);
         let age_max_s = self.config.word_age_max_s;
         if !(-age_max_s..=age_max_s).contains(&age_s) {

@@ -7,7 +7,6 @@ use pb3dp_geometry::frames::{Base, World};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_kinematics::{ArmShape, Chain, DOF, EffectiveLimits, JointVector, PlacedArm, clearance_within};
-use pb3dp_safeguards::{Safeguard, is_off};
 
 use crate::last_command::{CommandFade, LastCommand};
 use crate::power::close_brakes;
@@ -212,8 +211,7 @@ impl Cell {
             return (!is_rest).then(|| format!("the pose of arm {name} is unknown; exchange with it first"));
         };
         let (room_m, which) = self.room(side, &own, &other);
-        let may_meet = is_off(Safeguard::CouplingRoom);
-        if room_m >= self.least_m || is_rest || may_meet || self.leads_away(side, &own, &other) {
+        if room_m >= self.least_m || is_rest || self.leads_away(side, &own, &other) {
             self.statistics.least_room_m = self.statistics.least_room_m.min(room_m);
             // From here on the other arm must take it into account.
             self.sides[side].sweep = Some(own);
@@ -319,7 +317,7 @@ impl<A: Arm + ArmPower> Coupled<A> {
     /// Forwards a hold, and stops both arms if they come closer meanwhile.
     fn hold(&mut self, now: MonotonicTime) -> Result<JointState, ArmError> {
         let sample = self.forward(JointCommand::Hold, now)?;
-        if self.arm.state() != ArmState::Enabled || self.latched().is_some() || is_off(Safeguard::CouplingRoom) {
+        if self.arm.state() != ArmState::Enabled || self.latched().is_some() {
             return Ok(sample);
         }
         let Some(reason) = self.cell().nearing(self.side) else { return Ok(sample) };
@@ -357,7 +355,7 @@ impl<A: Arm + ArmPower> Coupled<A> {
             .err()
             .filter(|error| matches!(error.kind(), ArmErrorKind::Fault | ArmErrorKind::Disconnected));
         match (failure, state) {
-            _ if by_other || is_off(Safeguard::CouplingStop) => {}
+            _ if by_other => {}
             (Some(error), _) => cell.stop_both(self.side, &error.to_string()),
             (None, ArmState::Fault) => cell.stop_both(self.side, "it is in a fault"),
             (None, ArmState::EStop) => {

@@ -6,7 +6,6 @@ use pb3dp_hal_api::{
     Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand, JointState, RecentFailures,
 };
 use pb3dp_kinematics::{DOF, EffectiveLimits, JointLimits, JointLimitsError, JointVector};
-use pb3dp_safeguards::{Safeguard, is_off};
 
 use crate::expectation::Expectation;
 use crate::power::close_brakes;
@@ -298,7 +297,7 @@ impl<A: Arm> Guard<A> {
         if self.is_switching_on && self.newest.is_some_and(|last| sample.at.saturating_since(last.at) > old) {
             self.forget();
         }
-        if let Some(reason) = self.beyond_limit(&sample).filter(|_| !is_off(Safeguard::GuardRange)) {
+        if let Some(reason) = self.beyond_limit(&sample) {
             // A wrong sample may exceed any limit.
             if self.newest.is_none_or(|last| self.jump(&sample, &last, sample.at.saturating_since(last.at)).is_none()) {
                 return Err(self.stop_for(reason));
@@ -306,15 +305,13 @@ impl<A: Arm> Guard<A> {
         }
         if let Some(last) = self.newest {
             let dt = sample.at.saturating_since(last.at);
-            if let Some((joint, moved_rad)) = self.jump(&sample, &last, dt).filter(|_| !is_off(Safeguard::GuardJump)) {
+            if let Some((joint, moved_rad)) = self.jump(&sample, &last, dt) {
                 return Err(self.refuse_jump(joint, moved_rad, dt));
             }
             if !dt.is_zero() {
                 let moved_rad = sample.position_rad - last.position_rad;
                 let (over_speed, off_track) = (self.over_speed(&sample), self.off_track(&moved_rad, dt));
                 let off_track = off_track.or(self.drifted(&moved_rad, dt));
-                let over_speed = over_speed.filter(|_| !is_off(Safeguard::GuardSpeed));
-                let off_track = off_track.filter(|_| !is_off(Safeguard::GuardTracking));
                 if let Some(reason) = over_speed.or(off_track) {
                     return Err(self.stop_for(reason));
                 }

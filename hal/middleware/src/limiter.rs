@@ -6,7 +6,6 @@ use std::time::Duration;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_kinematics::{DOF, EffectiveLimits, JointVector};
-use pb3dp_safeguards::{Safeguard, is_off};
 
 use crate::guard::LIMIT_ROUNDING_RAD;
 use crate::last_command::{CommandFade, LastCommand};
@@ -16,9 +15,6 @@ use crate::stopping::DriveLimits;
 /// Near a limit the speed cap is distance / T: a control loop of gain 1/T, closed over the reaction time. Such a loop overshoots
 /// unless its gain is at most 1 / (e x delay), so T is e times the reaction time.
 const NO_OVERSHOOT: f64 = std::f64::consts::E;
-
-/// Replaces a limit that a test has disabled: more than any joint can do, in any unit.
-const UNLIMITED: f64 = 1e3;
 
 /// Properties of the arm besides its limits.
 #[derive(Clone, Debug, PartialEq)]
@@ -279,12 +275,11 @@ impl<A: Arm> Limiter<A> {
     fn limit(&mut self, desired: &JointVector, now: MonotonicTime) -> SetPoint {
         let config = &self.config;
         let fresh = self.newest.map(|sample| (now.saturating_since(sample.at), sample));
-        let fresh = fresh.filter(|(age, _)| *age <= config.stale_after || is_off(Safeguard::LimiterStale));
+        let fresh = fresh.filter(|(age, _)| *age <= config.stale_after);
         let (previous, since) = self.last.at(now, self.arm.info().cycle, self.newest.as_ref());
         let operating = self.limits.operating();
         let speeds = *operating.velocity_max_rad_per_s();
-        let speeds = if is_off(Safeguard::LimiterSpeed) { speeds * UNLIMITED } else { speeds };
-        let drives = if is_off(Safeguard::LimiterAcceleration) { &self.drives.scaled(UNLIMITED) } else { &self.drives };
+        let drives = &self.drives;
         let step = Step { previous: &previous, dt_s: since.as_secs_f64(), drives, speeds: &speeds };
         let nowhere = Caps { lower: -speeds, upper: speeds, by_position: [[false; 2]; DOF] };
         let Some((age, sample)) = fresh else {
@@ -294,17 +289,13 @@ impl<A: Arm> Limiter<A> {
         let reaction = config.reaction_time + age;
         let position = &sample.position_rad;
         let near_s = NO_OVERSHOOT * reaction.as_secs_f64();
-        let mut caps = shaping::caps(position, operating, &speeds, drives, near_s);
-        let mut room = Room {
+        let caps = shaping::caps(position, operating, &speeds, drives, near_s);
+        let room = Room {
             to_ends: [position - operating.position_min_rad(), operating.position_max_rad() - position],
             peaks: self.last.peaks_since(now - reaction),
             // A command that may be the last one for a while.
             reaction_s: (reaction + config.command_timeout).as_secs_f64(),
         };
-        if is_off(Safeguard::LimiterRange) {
-            caps = nowhere;
-            room.to_ends = [JointVector::repeat(UNLIMITED); 2];
-        }
         let shaped = shaping::shape(desired, &caps, &step, Some(&room));
         self.statistics.speed_limited += u64::from(shaped.speed_limited);
         self.statistics.position_limited += u64::from(shaped.position_limited);

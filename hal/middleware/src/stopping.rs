@@ -26,11 +26,6 @@ impl DriveLimits {
     pub(crate) fn of(&self, joint: usize) -> DriveLimit {
         DriveLimit { acceleration: self.acceleration[joint], jerk: self.jerk[joint] }
     }
-
-    /// Multiplies both limits.
-    pub(crate) fn scaled(&self, times: f64) -> Self {
-        Self { acceleration: self.acceleration * times, jerk: self.jerk * times }
-    }
 }
 
 impl DriveLimit {

@@ -7,10 +7,9 @@ use crate::violation::Violation;
 
 /// One row per package: which of our packages it may depend on. Lowest layer first; a package may depend only on packages
 /// above its own row. Names without the prefix `pb3dp-`.
-const ALLOWED: [(&str, &[&str]); 44] = [
+const ALLOWED: [(&str, &[&str]); 43] = [
     ("allocation-count", &[]),
     ("test-support", &[]),
-    ("safeguards", &[]),
     ("computing", &[]),
     ("message-codes", &[]),
     ("third-party", &[]),
@@ -24,11 +23,11 @@ const ALLOWED: [(&str, &[&str]); 44] = [
     ("estimation", &["geometry", "estimation-core", "estimation-direct", "estimation-track", "estimation-published"]),
     ("camera-settings", &["geometry"]),
     ("record", &["message-codes", "geometry", "camera-settings"]),
-    ("servo", &["message-codes", "safeguards", "geometry", "kinematics"]),
+    ("servo", &["message-codes", "geometry", "kinematics"]),
     ("sim", &["message-codes", "computing", "geometry", "kinematics"]),
     ("hal-api", &["message-codes", "geometry", "kinematics"]),
     ("hal-clock", &["geometry", "hal-api"]),
-    ("hal-middleware", &["safeguards", "geometry", "kinematics", "hal-api"]),
+    ("hal-middleware", &["geometry", "kinematics", "hal-api"]),
     ("hal-conformance", &["geometry", "kinematics", "hal-api"]),
     ("camera-pixels", &["geometry", "camera-settings"]),
     ("bag", &["message-codes", "geometry", "record", "camera-pixels", "camera-settings"]),
@@ -38,14 +37,8 @@ const ALLOWED: [(&str, &[&str]); 44] = [
     ("camera-v4l2", &["geometry", "hal-api", "camera-settings", "camera-pixels"]),
     ("hal-platform", &["geometry"]),
     ("arm-pa10-protocol", &["geometry", "kinematics"]),
-    (
-        "arm-pa10",
-        &["message-codes", "safeguards", "geometry", "kinematics", "hal-api", "hal-platform", "arm-pa10-protocol"],
-    ),
-    (
-        "arm-pa10-gateway",
-        &["message-codes", "safeguards", "geometry", "kinematics", "hal-platform", "arm-pa10-protocol", "arm-pa10"],
-    ),
+    ("arm-pa10", &["message-codes", "geometry", "kinematics", "hal-api", "hal-platform", "arm-pa10-protocol"]),
+    ("arm-pa10-gateway", &["message-codes", "geometry", "kinematics", "hal-platform", "arm-pa10-protocol", "arm-pa10"]),
     (
         "arm-pa10-emulation",
         &[
@@ -222,7 +215,6 @@ const ALLOWED: [(&str, &[&str]); 44] = [
             "wiring",
             "commissioning",
             "calibration",
-            "safeguards",
             "geometry",
             "kinematics",
             "estimation-core",

@@ -12,8 +12,8 @@ use super::space;
 use crate::test::Selection;
 use crate::workspace::{Workspace, run_visibly};
 use crate::{
-    check_deps, commissioning, fuzz_build, licences, miri, msrv, panel, python_package, recordings, required, test,
-    tidy, vm,
+    bench, check_deps, commissioning, fuzz_build, licences, miri, msrv, panel, python_package, recordings, required,
+    test, tidy, vm,
 };
 
 /// Context of the steps.
@@ -129,12 +129,14 @@ const KERNELS: &[&str] = &[
     "pb3dp-estimation-published",
     "pb3dp-camera-pixels",
 ];
+/// Packages with safeguards.
+const GUARDED: &[&str] = &["pb3dp-servo", "pb3dp-hal-middleware", "pb3dp-arm-pa10", "pb3dp-arm-pa10-gateway"];
 const FUZZED: &[&str] = &["pb3dp-estimation", "pb3dp-arm-pa10-test-support"];
 /// Files that affect every package: manifests, the lock file and the toolchain.
 const MANIFESTS: &[&str] = &["manifests"];
 
 /// The steps, the fastest first.
-pub const STEPS: [Step; 18] = [
+pub const STEPS: [Step; 19] = [
     Step { name: "space", due: Due::Always, run: |progress| space::check(progress.workspace) },
     Step { name: "fmt", due: Due::Always, run: |progress| fmt(progress.workspace) },
     Step { name: "tidy", due: Due::Always, run: |progress| tidy::run(progress.workspace, &tidy::Args {}) },
@@ -170,6 +172,7 @@ pub const STEPS: [Step; 18] = [
         due: Due::Tests(&["pb3dp-arm-pa10-emulation", "pb3dp-camera-v4l2", "system-tests"]),
         run: guests,
     },
+    Step { name: "safeguards", due: Due::Product(GUARDED), run: |progress| bench::safeguards(progress.workspace) },
     Step { name: "fuzz", due: Due::Tests(FUZZED), run: |progress| fuzz_build::run(progress.workspace) },
     Step { name: "miri", due: Due::Product(KERNELS), run: |progress| miri::run(progress.workspace) },
     Step { name: "msrv", due: Due::Product(MANIFESTS), run: |progress| msrv::run(progress.workspace) },

@@ -47,25 +47,6 @@ pub fn top_level(files: &[String]) -> Vec<Violation> {
     violations
 }
 
-/// Profiles of test builds, which have debug assertions; the program of a guest needs them in one crate.
-const TEST_PROFILES: [&str; 3] = ["dev", "test", "guest"];
-
-/// No other profile of the root manifest has debug assertions: with them safeguards can be disabled.
-pub fn profiles(path: &str, text: &str) -> Vec<Violation> {
-    let table: toml::Table = text.parse().unwrap_or_default();
-    let profiles = table.get("profile").and_then(toml::Value::as_table).into_iter().flatten();
-    let wrong = profiles.filter(|(name, profile)| !TEST_PROFILES.contains(&name.as_str()) && has_assertions(profile));
-    let message =
-        |name: &str| format!("profile {name}: remove `debug-assertions`, with which safeguards can be disabled");
-    wrong.map(|(name, _)| Violation::of(path, "release-assertions", message(name))).collect()
-}
-
-fn has_assertions(value: &toml::Value) -> bool {
-    let Some(table) = value.as_table() else { return false };
-    let is_on = |(key, value): (&String, &toml::Value)| key == "debug-assertions" && value.as_bool() == Some(true);
-    table.iter().any(|entry| is_on(entry) || has_assertions(entry.1))
-}
-
 /// A publishable crate has a README, which its registry page shows.
 pub fn readme(path: &str, text: &str, files: &[String]) -> Vec<Violation> {
     let is_crate = path.starts_with("crates/") || (path.starts_with("hal/") && !path.starts_with("hal/vendor/"));
@@ -142,15 +123,6 @@ mod tests {
         files.retain(|file| file != "LICENSE-MIT");
         let found: Vec<_> = top_level(&files).into_iter().map(|v| v.file).collect();
         assert_eq!(found, ["scripts", "LICENSE-MIT"]);
-    }
-
-    #[test]
-    fn a_release_with_debug_assertions_is_caught() {
-        let count = |text: &str| profiles("Cargo.toml", text).len();
-        assert_eq!(count("[profile.release]\nopt-level = 3\ndebug-assertions = false\n[profile.dev]\n"), 0);
-        assert_eq!(count("[profile.guest.package.pb3dp-commissioning]\ndebug-assertions = true\n"), 0);
-        assert_eq!(count("[profile.release]\ndebug-assertions = true\n"), 1);
-        assert_eq!(count("[profile.dist.package]\npb3dp-safeguards = { debug-assertions = true }\n"), 1);
     }
 
     #[test]

@@ -10,7 +10,6 @@ mod figures;
 mod kept;
 mod page;
 mod program_log;
-#[cfg(debug_assertions)]
 mod proofs;
 mod recorder;
 mod restart;
@@ -311,7 +310,7 @@ fn all(args: &Args) -> Result<Both> {
 fn main() -> Result<ExitCode> {
     let args = Args::read(std::env::args().skip(1))?;
     if args.disabled {
-        return disabled(&args);
+        return proofs::run(&args);
     }
     if args.is_drawn {
         println!("seed {}, drawn; repeat these runs with --seed {0}\n", args.seed);
@@ -327,19 +326,6 @@ fn main() -> Result<ExitCode> {
     }
     println!("{} virtual seconds per run, hash of all: {:016x}", RUN_S, plain.digest.wrapping_add(rendered.digest));
     Ok(if plain.broken() + rendered.broken() == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
-}
-
-/// Disables each safeguard.
-#[cfg(debug_assertions)]
-fn disabled(args: &Args) -> Result<ExitCode> {
-    proofs::run(args)
-}
-
-/// # Errors
-/// Always.
-#[cfg(not(debug_assertions))]
-fn disabled(_: &Args) -> Result<ExitCode> {
-    bail!("--disabled: this build cannot disable safeguards; use `cargo xtask bench safety --disabled`")
 }
 
 #[cfg(test)]

@@ -7,15 +7,12 @@ use std::path::Path;
 use anyhow::Context;
 use pb3dp_servo::supervisor::State;
 
-#[cfg(debug_assertions)]
-use pb3dp_safeguards::Safeguard;
-#[cfg(debug_assertions)]
 use system_tests::safety::invariants::Violation;
 
 use crate::effects::ENABLING;
 use crate::figures::{Count, Figures};
-#[cfg(debug_assertions)]
 use crate::proofs::Shown;
+use crate::proofs::safeguards::Safeguard;
 use crate::replay;
 
 /// The whole page.
@@ -47,7 +44,6 @@ pub fn write_part(folder: &Path, runs: Option<&str>, safeguards: Option<&str>) -
 }
 
 /// The table of safeguards that were disabled one by one, and the limits of these runs.
-#[cfg(debug_assertions)]
 pub fn safeguards(shown: &[Shown], elsewhere: &[(Safeguard, &str)], origin: &str) -> String {
     let mut page = String::new();
     // Writing to a string cannot fail.
@@ -55,7 +51,6 @@ pub fn safeguards(shown: &[Shown], elsewhere: &[(Safeguard, &str)], origin: &str
     page
 }
 
-#[cfg(debug_assertions)]
 fn write_safeguards(
     page: &mut String,
     shown: &[Shown],
@@ -66,7 +61,7 @@ fn write_safeguards(
     writeln!(page, "{SAFEGUARDS}\n\n`cargo xtask bench safety --disabled`; {origin}\n")?;
     writeln!(
         page,
-        "{runs} runs of 7 virtual seconds in a test build that can disable safeguards; `pb3dp` is never built with this option.\n\
+        "{runs} runs of 7 virtual seconds in a build with the switches of `tests/safeguards.toml`, which `pb3dp` does not have.\n\
          Each row compares pairs of runs of the same seed that differ in one safeguard: with it all invariants hold, without it at least one is violated, in two seeds.\n\
          Other safeguards against the same hazard are disabled in both runs: each safeguard is sufficient alone.\n"
     )?;
@@ -100,7 +95,6 @@ fn write_safeguards(
 }
 
 /// The invariants that are violated.
-#[cfg(debug_assertions)]
 fn broken(violations: &[Violation]) -> String {
     let mut names: Vec<_> = violations.iter().map(|violation| violation.invariant.name()).collect();
     names.dedup();

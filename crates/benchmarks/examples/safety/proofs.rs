@@ -3,6 +3,7 @@
 //! If several safeguards cover one hazard, each is tested with all others disabled: alone it is sufficient, and
 //! without it an invariant is violated.
 
+pub mod safeguards;
 mod table;
 
 use std::process::ExitCode;
@@ -10,7 +11,6 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::{Result, ensure};
-use pb3dp_safeguards::{Safeguard, without};
 use pb3dp_setup::setup::Carrier;
 use pb3dp_sim::trajectory::MotionConfig;
 use system_tests::safety::invariants::{Invariant, Violation};
@@ -19,6 +19,7 @@ use crate::faults::{Fault, Kind};
 use crate::scenario::{Dice, Draw, PROOF, Scenario};
 use crate::workcell::{Setups, Workcell};
 use crate::{Args, Judged, judge, page, trace};
+use safeguards::{HAS_SWITCHES, Safeguard, without};
 
 /// Number of seeds that are tried until [`SHOWN_BY`] runs without the safeguard violate an invariant.
 const SEEDS: u64 = 8;
@@ -100,7 +101,7 @@ impl Proof {
             digests: Vec::new(),
         };
         for seed in args.seed..args.seed + SEEDS {
-            let judged = |off: &[Safeguard]| without(off, || judge(setups, self.scenario(seed), false));
+            let judged = |off: &[Safeguard]| without(off, || judge(setups, self.scenario(seed), false))?;
             let found = |judged: Judged| (!judged.violations.is_empty()).then_some((seed, judged.violations));
             let off: Vec<_> = self.others.iter().chain([&self.guard]).copied().collect();
             let (mut with, without) = (judged(self.others)?, judged(&off)?);
@@ -130,8 +131,12 @@ impl Proof {
 /// All proofs, or those whose name contains the given text.
 ///
 /// # Errors
-/// If a run cannot be built, or no safeguard has that name.
+/// If this build has no switches, a run cannot be built, or no safeguard has that name.
 pub fn run(args: &Args) -> Result<ExitCode> {
+    ensure!(
+        HAS_SWITCHES,
+        "--disabled: this build cannot disable safeguards; use `cargo xtask bench safety --disabled`"
+    );
     let setups = Setups::default();
     let proofs: Vec<_> = table::PROOFS.iter().filter(|proof| proof.guard.name().contains(&args.only)).collect();
     ensure!(!proofs.is_empty(), "--only {}: no safeguard has this text in its name", args.only);
@@ -167,6 +172,10 @@ pub fn run(args: &Args) -> Result<ExitCode> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use pb3dp_servo::supervisor::Condition;
+
+    /// The switches that [`HAS_SWITCHES`] means.
+    const SWITCHES: &str = include_str!("../../../../tests/safeguards.toml");
 
     #[test]
     fn no_safeguard_is_left_out() {
@@ -178,9 +187,18 @@ mod tests {
     }
 
     #[test]
-    fn each_safeguard_is_enough_and_needed() {
-        // Always the same seeds, as from the command line: without `--disabled` a seed would be drawn.
-        let args = Args::read(["--disabled".to_owned()].into_iter()).unwrap();
-        assert_eq!(run(&args).unwrap(), ExitCode::SUCCESS);
+    fn each_safeguard_has_a_switch() {
+        for name in Safeguard::ALL.iter().map(|guard| guard.name()) {
+            let is_condition =
+                Condition::ALL.iter().any(|condition| name == format!("supervisor: {}", condition.key()));
+            assert!(is_condition || SWITCHES.contains(&format!("is_off(\"{name}\")")), "{name}");
+        }
+    }
+
+    #[test]
+    fn a_run_without_safeguards_knows_which() {
+        let name = || std::thread::current().name().map(str::to_owned);
+        let names = without(&[Safeguard::LimiterSpeed, Safeguard::GuardRange], name).unwrap();
+        assert_eq!(names.as_deref(), Some("limiter: speed; guard: range"));
     }
 }

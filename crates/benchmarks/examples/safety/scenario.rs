@@ -341,14 +341,12 @@ impl Scenario {
 }
 
 /// A target that oscillates by itself or on the other arm, slowly enough for the hand to follow.
-#[cfg(debug_assertions)]
 pub fn swing(carrier: Carrier, channel: Channel, amplitude: f64, period_s: f64) -> (MotionConfig, Carrier) {
     let axes = ExperimentAxes::TargetAtStart;
     (MotionConfig::Sine(SineConfig { channel, amplitude, period_s, periods: 100, lead_in_s: 1.0, axes }), carrier)
 }
 
 /// A target that moves out and back, by so many metres or radians in so much time.
-#[cfg(debug_assertions)]
 pub fn there_and_back(carrier: Carrier, channel: Channel, way: f64, move_s: f64) -> (MotionConfig, Carrier) {
     let motion = MotionConfig::Steps(StepExperimentConfig {
         channels: vec![channel],

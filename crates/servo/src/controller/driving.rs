@@ -5,7 +5,6 @@ use std::time::Duration;
 use pb3dp_geometry::frames::{Base, Hand};
 use pb3dp_geometry::{MonotonicTime, Pose, Twist};
 use pb3dp_kinematics::{JointState, JointVector};
-use pb3dp_safeguards::{Safeguard, is_off};
 
 use super::{Command, ControlStep, Controller, HoldReason, Mode, STALL_MAX_S};
 use crate::config::{CartesianSpeed, FeedForwardConfig, LawConfig, PublishedConfig};
@@ -321,9 +320,6 @@ impl Controller {
     fn freshness(&self, now: MonotonicTime) -> f64 {
         let timeout_s = self.config.timeouts.observation_s;
         let age_s = self.target.observed_at().map_or(timeout_s, |at| now.seconds_since(at));
-        if is_off(Safeguard::ObservationAge) {
-            return 1.0;
-        }
         (2.0 * (timeout_s - age_s) / timeout_s).clamp(0.0, 1.0)
     }
 }

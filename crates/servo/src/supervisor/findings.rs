@@ -2,7 +2,6 @@
 
 use nalgebra::Matrix6;
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_safeguards::{Safeguard, is_off};
 
 use super::inputs::{ArmCondition, Confidence, EstimateInput, FrameInput, Innovation, Inputs};
 use super::policy::{Action, Condition, Policies};
@@ -131,9 +130,8 @@ impl Findings {
 
     /// Determines the active conditions.
     pub(super) fn look(&mut self, inputs: &Inputs, policies: &Policies, now: MonotonicTime) {
-        let looks_at_clock = !is_off(Safeguard::ClockStepped);
-        let step_max_s = if looks_at_clock { policies.get(Condition::ClockStepped).threshold } else { f64::INFINITY };
-        let step_s = self.clock_step_s(inputs, step_max_s, now).filter(|_| looks_at_clock);
+        let step_max_s = policies.get(Condition::ClockStepped).threshold;
+        let step_s = self.clock_step_s(inputs, step_max_s, now);
         if step_s.is_some_and(|step_s| step_s < 0.0) {
             // Older times are not comparable after a clock step.
             self.forget_target();
@@ -163,7 +161,6 @@ impl Findings {
                 | Condition::LateImages => of_the_moment(condition, threshold, inputs, now),
                 _ => self.of_the_target(condition, threshold, now),
             };
-            let found = found.filter(|_| !safeguard(condition).is_some_and(is_off));
             let threshold = if condition.rule().threshold.is_some() { threshold } else { 0.0 };
             let index = condition as usize;
             self.found[index] = found.map(|(value, detail)| Cause { condition, value, threshold, detail });
@@ -304,34 +301,6 @@ impl Findings {
     pub(super) fn cause(&self, condition: Condition) -> Option<Cause> {
         self.found[condition as usize]
     }
-}
-
-/// The safeguard of the condition, for tests; `None` for conditions that are only reported or slow the motion, and for a loop that
-/// swings within all limits.
-const fn safeguard(condition: Condition) -> Option<Safeguard> {
-    Some(match condition {
-        Condition::EmergencyStop => Safeguard::EmergencyStop,
-        Condition::ArmFault => Safeguard::ArmFault,
-        Condition::ArmDisabled => Safeguard::ArmDisabled,
-        Condition::ClockStepped => Safeguard::ClockStepped,
-        Condition::OperatorSilent => Safeguard::OperatorSilent,
-        Condition::JointsStale => Safeguard::JointsStale,
-        Condition::TargetChanged => Safeguard::TargetChanged,
-        Condition::FrameStale => Safeguard::FrameStale,
-        Condition::FrameOrder => Safeguard::FrameOrder,
-        Condition::Miscalibrated => Safeguard::Miscalibrated,
-        Condition::TargetLost => Safeguard::TargetLost,
-        Condition::EstimateStale => Safeguard::EstimateStale,
-        Condition::PositionJump => Safeguard::PositionJump,
-        Condition::OrientationJump => Safeguard::OrientationJump,
-        Condition::Outlier => Safeguard::Outlier,
-        Condition::PositionUncertain => Safeguard::PositionUncertain,
-        Condition::OrientationUncertain => Safeguard::OrientationUncertain,
-        Condition::CameraSkew => Safeguard::CameraSkew,
-        Condition::ControllerRests => Safeguard::ControllerRests,
-        Condition::LateImages => Safeguard::LateImages,
-        Condition::LowConfidence | Condition::LimitNear | Condition::Singularity => return None,
-    })
 }
 
 /// Measurements of one step.

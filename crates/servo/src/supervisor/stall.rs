@@ -1,7 +1,6 @@
 //! Stalls: a part stands still for a moment, and the hold that follows keeps the target.
 
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_safeguards::{Safeguard, is_off};
 
 use super::findings::{Cause, Detail, Findings};
 use super::inputs::Inputs;
@@ -31,7 +30,7 @@ impl Stalls {
     pub fn may_begin(&self, now: MonotonicTime) -> bool {
         let since_s = self.ended_at.map_or(f64::INFINITY, |ended| now.seconds_since(ended));
         // After a clock step nothing is known about the last one.
-        since_s >= STALLS_APART_S || is_off(Safeguard::StallsApart)
+        since_s >= STALLS_APART_S
     }
 
     /// Whether the stall of the present hold is not too long yet.
@@ -44,7 +43,7 @@ impl Stalls {
 /// still as certain as the policies demand of an estimate.
 pub(super) fn is_only_stalled(findings: &Findings, policies: &Policies, inputs: &Inputs) -> bool {
     let mut causes = findings.all_at_least(policies, Action::Hold);
-    let are_stalls = causes.all(|cause| is_stall(cause, policies)) || is_off(Safeguard::StallCause);
+    let are_stalls = causes.all(|cause| is_stall(cause, policies));
     are_stalls && is_certain(policies, inputs)
 }
 

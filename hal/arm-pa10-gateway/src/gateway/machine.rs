@@ -6,7 +6,6 @@ use pb3dp_arm_pa10_protocol::arcnet::Frame;
 use pb3dp_arm_pa10_protocol::codec::{AngleCounts, ArmCommand, ArmReply, Axis, ControlMessage, Letter};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{FaultReport, GatewayState, RejectReason, StopCause};
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_safeguards::{Safeguard, is_off};
 
 use super::bus::{Asker, Askers, Bus, Outstanding, count};
 use super::config::GatewayConfig;
@@ -300,7 +299,7 @@ impl Machine {
                 self.end_started(now);
             }
             GatewayState::Holding | GatewayState::Moving
-                if self.motion.age(now) >= self.config.watchdog.stop_after() && !is_off(Safeguard::GatewayWatchdog) =>
+                if self.motion.age(now) >= self.config.watchdog.stop_after() =>
             {
                 self.trip(now, StopCause::HostSilent, None, 0);
             }
@@ -361,7 +360,7 @@ impl Machine {
         }
         match (self.purpose, self.work) {
             (Purpose::Cycle, Work::Stop(StopStep::Check { left: 0 })) => self.latch_found(now),
-            (Purpose::Cycle, _) if self.bus.misses >= SILENT_CYCLES && !is_off(Safeguard::GatewayBus) => {
+            (Purpose::Cycle, _) if self.bus.misses >= SILENT_CYCLES => {
                 self.trip(now, StopCause::ControllerSilent, None, 0);
             }
             (Purpose::Cycle, _) | (Purpose::Work, Work::Steady) => {}

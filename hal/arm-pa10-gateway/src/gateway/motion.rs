@@ -5,7 +5,6 @@ use std::time::Duration;
 use pb3dp_arm_pa10_protocol::codec::{ArmCommand, Axis, AxisCommand, SpeedCounts, Supervision};
 use pb3dp_arm_pa10_protocol::watchdog::{CommandWatchdog, Staleness};
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_safeguards::{Safeguard, is_off};
 
 use super::limits::LimitMonitor;
 
@@ -179,7 +178,6 @@ impl Motion {
     /// The command of this cycle, and whether the watchdog slows it down.
     pub fn command(&self, now: MonotonicTime, watchdog: &CommandWatchdog, limits: &LimitMonitor) -> (ArmCommand, bool) {
         let (left, slowed) = match watchdog.judge(self.age(now)) {
-            _ if is_off(Safeguard::GatewayWatchdog) => (1.0, false),
             Staleness::Fresh => (1.0, false),
             Staleness::Ramp(part) => (part, true),
             Staleness::Expired => (0.0, true),
@@ -198,7 +196,7 @@ impl Motion {
             };
         }
         match self.resumed {
-            Some((since, from)) if !is_off(Safeguard::GatewayLimits) => {
+            Some((since, from)) => {
                 (fading(&command, share_risen(&command, &from, now.seconds_since(since), limits)), slowed)
             }
             _ => (command, slowed),

@@ -7,7 +7,6 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::{
     StopCause,
 };
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_safeguards::{Safeguard, is_off};
 
 use super::bus::{Arrived, Asker, Askers, RawReply};
 use super::host::Refused;
@@ -49,7 +48,7 @@ impl Machine {
         self.hear(now);
         self.note_found(now, reply);
         let condition = Sample::from_reply(reply, &self.config.torque_scale).condition;
-        let found = self.judge(&condition).filter(|_| !is_off(Safeguard::GatewayAlarms));
+        let found = self.judge(&condition);
         if let Work::Job(Job { asker, task: Task::Reset(ResetStep::Look) }) = self.work {
             let found = found.map_or(StopCause::None, |found| found.cause);
             self.go_on(asker, ResetStep::End { found });
@@ -65,7 +64,6 @@ impl Machine {
             self.trip(now, cause, axis, word);
         }
         if self.state == GatewayState::Moving
-            && !is_off(Safeguard::GatewayLimits)
             && let Some(exceeded) = self.limits.judge_range(self.motion.sent(), reply)
         {
             self.trip_limit(now, exceeded);

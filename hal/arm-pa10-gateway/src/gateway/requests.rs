@@ -8,7 +8,6 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::{
     HelloReply, HostMessage, RawMessage, RejectReason, State, StopCause,
 };
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_safeguards::{Safeguard, is_off};
 
 use super::bus::Asker;
 use super::host::{Refused, is_in_both_dialects, refusal_of};
@@ -199,9 +198,6 @@ impl Machine {
 
     /// Whether a command that would be followed is within the motion limits; otherwise it stops the arm.
     fn keeps_limits(&mut self, now: MonotonicTime, asked: &ArmCommand) -> bool {
-        if is_off(Safeguard::GatewayLimits) {
-            return true;
-        }
         let measured = self.measured.as_ref().map(|measured| measured.reply);
         let Some(exceeded) = self.limits.judge_command(now, asked, measured.as_ref()) else { return true };
         self.trip_limit(now, exceeded);

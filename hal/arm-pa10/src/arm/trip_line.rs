@@ -5,7 +5,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use pb3dp_arm_pa10_protocol::gateway_protocol::ArmId;
-use pb3dp_safeguards::{Safeguard, is_off};
 use rustix::event::{EventfdFlags, eventfd};
 
 use crate::driver::{FaultCause, Trip};
@@ -96,7 +95,7 @@ impl TripSeat {
     /// Stops all arms except this one, which has this number.
     pub(super) fn trip_others(&self, this: ArmId) {
         for (index, member) in self.members.iter().enumerate() {
-            if index != self.index && !is_off(Safeguard::TripLine) {
+            if index != self.index {
                 member.trip(ARM + u32::from(this.0));
             }
         }

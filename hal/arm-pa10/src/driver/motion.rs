@@ -4,7 +4,6 @@ use std::time::Duration;
 
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
-use pb3dp_safeguards::{Safeguard, is_off};
 
 use pb3dp_arm_pa10_protocol::watchdog::{CommandWatchdog, Staleness};
 
@@ -40,7 +39,6 @@ impl Motion {
     pub fn velocity_rad_per_s(&self, now: MonotonicTime, watchdog: &CommandWatchdog) -> JointVector {
         match self {
             Self::Rest => JointVector::zeros(),
-            Self::Follow { velocity_rad_per_s, .. } if is_off(Safeguard::DriverWatchdog) => *velocity_rad_per_s,
             Self::Follow { velocity_rad_per_s, since } => match watchdog.judge(now.saturating_since(*since)) {
                 Staleness::Fresh => *velocity_rad_per_s,
                 Staleness::Ramp(part) => velocity_rad_per_s * part,
@@ -68,6 +66,6 @@ impl Motion {
     pub fn expired(&self, now: MonotonicTime, watchdog: &CommandWatchdog) -> Option<Duration> {
         let Self::Follow { since, .. } = self else { return None };
         let age = now.saturating_since(*since);
-        (watchdog.judge(age) == Staleness::Expired && !is_off(Safeguard::DriverWatchdog)).then_some(age)
+        (watchdog.judge(age) == Staleness::Expired).then_some(age)
     }
 }

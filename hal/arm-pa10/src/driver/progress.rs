@@ -7,7 +7,6 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::RejectReason;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::RecentFailures;
 use pb3dp_kinematics::{JointState, JointVector};
-use pb3dp_safeguards::{Safeguard, is_off};
 
 use super::config::LimitsCheck;
 use super::machine::{AxisLimits, Driver, Latched};
@@ -50,10 +49,7 @@ impl Driver {
             }
         };
         let too_old = || sample.too_old().map(Trip::Fault);
-        let found = found.or_else(lost).filter(|_| !is_off(Safeguard::DriverAlarms));
-        let overloaded = overloaded.filter(|_| !is_off(Safeguard::DriverTorque));
-        let too_old = || too_old().filter(|_| !is_off(Safeguard::DriverMeasurementAge));
-        if let Some(trip) = found.or(overloaded).or_else(too_old) {
+        if let Some(trip) = found.or_else(lost).or(overloaded).or_else(too_old) {
             self.trip(now, trip);
             return;
         }
@@ -139,7 +135,7 @@ impl Driver {
             self.handle_done(now);
             return;
         }
-        if let (Some(misses), false) = (too_many, self.is_stopping_latched() || is_off(Safeguard::DriverLink)) {
+        if let (Some(misses), false) = (too_many, self.is_stopping_latched()) {
             self.trip(now, Trip::Fault(FaultCause::LinkLost { misses }));
         }
         self.check_recent(now);
@@ -153,7 +149,7 @@ impl Driver {
     /// Stops the arm if too many of the last exchanges failed, although never three in a row.
     pub(super) fn check_recent(&mut self, now: MonotonicTime) {
         let Some(bad) = self.link.too_many_bad() else { return };
-        if !self.is_stopping_latched() && !is_off(Safeguard::DriverLink) {
+        if !self.is_stopping_latched() {
             self.trip(now, Trip::Fault(FaultCause::LinkPoor { bad, exchanges: RecentFailures::WINDOW }));
             self.link.forget_misses();
         }

@@ -1,11 +1,11 @@
 //! The proof of each safeguard.
 
-use pb3dp_safeguards::Safeguard::{self, *};
 use pb3dp_servo::supervisor::OperatorCommand;
 use pb3dp_setup::setup::Carrier::{Arm, Nothing};
 use pb3dp_sim::trajectory::Channel;
 
 use super::Proof;
+use super::safeguards::Safeguard::{self, *};
 use crate::faults::Kind;
 use crate::scenario::{Dice, swing, there_and_back};
 

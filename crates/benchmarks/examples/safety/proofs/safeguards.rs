@@ -1,23 +1,21 @@
-//! The safeguards that prevent wrong arm motion, by name. A test build can disable them one by one and show that each is
-//! necessary.
+//! The safeguards that prevent wrong arm motion, by name, and runs without some of them.
 //!
-//! The code that implements a safeguard calls [`is_off`]. Without debug assertions, as in every release, this is the constant
-//! `false`, and no code of this crate remains in a program. A test build of `pb3dp` reports in its version that it has them
-//! ([`CAN_BE_OFF`]).
+//! No program contains a switch: `cargo xtask bench safety --disabled` puts the switches of tests/safeguards.toml into a copy of the work tree.
 
-/// Whether this is a test build in which safeguards can be disabled.
-pub const CAN_BE_OFF: bool = cfg!(debug_assertions);
+/// Whether this build has the switches.
+pub const HAS_SWITCHES: bool = false;
 
 macro_rules! safeguards {
     ($($name:ident $text:literal $what:literal)*) => {
         /// A safeguard against wrong arm motion.
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum Safeguard {
             $(#[doc = $what] $name,)*
         }
 
         impl Safeguard {
             /// All safeguards.
+            #[cfg(test)]
             pub const ALL: &'static [Self] = &[$(Self::$name),*];
 
             /// Name in tables: the component, then the checked quantity.
@@ -84,84 +82,11 @@ safeguards! {
     GatewayAlarms "gateway: alarms" "Alarms and switches of the arm stop it"
 }
 
-/// Whether a test has disabled this safeguard: never, in this build.
-#[cfg(not(debug_assertions))]
-#[inline(always)]
-pub const fn is_off(_: Safeguard) -> bool {
-    false
-}
-
-#[cfg(debug_assertions)]
-mod switches {
-    use std::cell::Cell;
-
-    use super::Safeguard;
-
-    thread_local! {
-        /// One bit per safeguard.
-        static OFF: Cell<u64> = const { Cell::new(0) };
-    }
-
-    /// Whether a test has disabled this safeguard on this thread.
-    pub fn is_off(safeguard: Safeguard) -> bool {
-        OFF.get() & bit(safeguard) != 0
-    }
-
-    /// Runs `work` on this thread without these safeguards; afterwards the previous state is restored, even after a panic.
-    pub fn without<T>(safeguards: &[Safeguard], work: impl FnOnce() -> T) -> T {
-        let before = OFF.get();
-        let _back = Back(before);
-        OFF.set(safeguards.iter().fold(before, |off, safeguard| off | bit(*safeguard)));
-        work()
-    }
-
-    const fn bit(safeguard: Safeguard) -> u64 {
-        assert!(Safeguard::ALL.len() <= 64);
-        1 << safeguard as u64
-    }
-
-    struct Back(u64);
-
-    impl Drop for Back {
-        fn drop(&mut self) {
-            OFF.set(self.0);
-        }
-    }
-}
-
-#[cfg(debug_assertions)]
-pub use switches::{is_off, without};
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn each_has_a_name_of_its_own() {
-        let mut names: Vec<_> = Safeguard::ALL.iter().map(|safeguard| safeguard.name()).collect();
-        names.sort_unstable();
-        names.dedup();
-        assert_eq!(names.len(), Safeguard::ALL.len());
-    }
-
-    #[cfg(debug_assertions)]
-    #[test]
-    fn they_are_off_as_long_as_the_work_lasts_and_on_this_thread_only() {
-        use Safeguard::{GuardRange, LimiterRange};
-        let are_off = || [LimiterRange, GuardRange].map(is_off);
-        let inside = without(&[LimiterRange], || {
-            assert_eq!(without(&[GuardRange], are_off), [true, true]);
-            assert_eq!(std::thread::scope(|scope| scope.spawn(are_off).join()).unwrap(), [false, false]);
-            are_off()
-        });
-        assert_eq!((inside, are_off()), ([true, false], [false, false]));
-        let panicked = std::panic::catch_unwind(|| without(&[GuardRange], || std::panic::resume_unwind(Box::new(()))));
-        assert!(panicked.is_err() && !is_off(GuardRange));
-    }
-
-    #[cfg(not(debug_assertions))]
-    #[test]
-    fn no_safeguard_can_be_disabled_in_a_release() {
-        const { assert!(!is_off(Safeguard::LimiterRange) && !CAN_BE_OFF) }
-    }
+/// Runs `work` without these safeguards, in a thread whose name lists them: there the switches find them.
+pub fn without<T: Send>(safeguards: &[Safeguard], work: impl FnOnce() -> T + Send) -> std::io::Result<T> {
+    let names: Vec<_> = safeguards.iter().map(|safeguard| safeguard.name()).collect();
+    std::thread::scope(|scope| {
+        let thread = std::thread::Builder::new().name(names.join("; ")).spawn_scoped(scope, work)?;
+        thread.join().map_err(|panic| std::io::Error::other(format!("the run panicked: {panic:?}")))
+    })
 }

@@ -1,0 +1,71 @@
+//! A build in which each safeguard of the safety chain can be disabled: a copy of the work tree with the switches of tests/safeguards.toml.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::Command;
+
+use anyhow::{Context, ensure};
+
+use crate::scratch::Scratch;
+use crate::workspace::Workspace;
+
+const SWITCHES: &str = "tests/safeguards.toml";
+/// What the switches call. A run without safeguards has a thread whose name lists them.
+const IS_OFF: &str = "
+/// Whether the run on this thread has disabled the safeguard of this name.
+pub(crate) fn is_off(name: &str) -> bool {
+    std::thread::current().name().is_some_and(|names| names.split(\"; \").any(|off| off == name))
+}
+";
+
+/// The command that builds and runs a program with the switches, without its package and arguments.
+///
+/// # Errors
+/// If the copy cannot be written, or a switch does not fit the source.
+pub fn run(workspace: &Workspace) -> anyhow::Result<Command> {
+    let scratch = Scratch::new(workspace, "safeguards")?;
+    for (file, source) in with_switches(workspace.root())? {
+        std::fs::write(scratch.tree.join(&file), source).with_context(|| format!("cannot write {file}"))?;
+    }
+    let mut command = workspace.cargo();
+    command.arg("run").current_dir(&scratch.tree).env("CARGO_TARGET_DIR", &scratch.target);
+    Ok(command)
+}
+
+/// The files that differ with the switches, by their paths.
+fn with_switches(root: &Path) -> anyhow::Result<BTreeMap<String, String>> {
+    let read = |file: &str| std::fs::read_to_string(root.join(file)).with_context(|| format!("cannot read {file}"));
+    let switches: toml::Table = read(SWITCHES)?.parse().with_context(|| format!("{SWITCHES} is not TOML"))?;
+    let edits = switches.get("edit").and_then(toml::Value::as_array).context("it has no edits").context(SWITCHES)?;
+    let mut sources = BTreeMap::new();
+    for edit in edits {
+        let of = |key: &str| edit.get(key).and_then(toml::Value::as_str);
+        let (Some(file), Some(old), Some(new)) = (of("file"), of("old"), of("new")) else {
+            anyhow::bail!("{SWITCHES}: give file, old and new in {edit}");
+        };
+        let source = sources.remove(file).map_or_else(|| read(file), Ok)?;
+        let count = source.matches(old).count();
+        ensure!(count == 1, "{SWITCHES}: {file} contains {count} times, not once: {old}");
+        sources.insert(file.to_owned(), source.replacen(old, new, 1));
+        let library = file.split_once("/src/").map(|(package, _)| format!("{package}/src/lib.rs"));
+        if let Some(library) = library.filter(|library| !sources.contains_key(library)) {
+            let source = read(&library)? + IS_OFF;
+            sources.insert(library, source);
+        }
+    }
+    Ok(sources)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_switch_fits_the_source() {
+        let sources = with_switches(Workspace::find().unwrap().root()).unwrap();
+        let libraries: Vec<_> = sources.keys().filter(|file| file.ends_with("/src/lib.rs")).collect();
+        let packages = ["crates/servo", "hal/arm-pa10-gateway", "hal/arm-pa10", "hal/middleware"];
+        assert_eq!(libraries, packages.map(|package| format!("{package}/src/lib.rs")).iter().collect::<Vec<_>>());
+        assert!(sources["hal/middleware/src/limiter.rs"].contains("crate::is_off(\"limiter: speed\")"));
+    }
+}
