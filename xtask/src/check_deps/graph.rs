@@ -1,8 +1,6 @@
 //! Dependencies between our packages, and on serde, from `cargo metadata`.
 
-use anyhow::Context;
-use serde_json::Value;
-
+use crate::packages::Package;
 use crate::violation::Violation;
 
 /// One row per package: the packages directly below it. It may depend on them and on all that is below them. Lowest layer first;
@@ -94,52 +92,16 @@ const FORMATS: [&str; 4] = ["serde_json", "serde-saphyr", "toml", "figment"];
 const SERDE_USERS: [&str; 6] = ["setup", "cell", "panel", "commissioning", "orchestrator", "record"];
 const SERDE: [&str; 2] = ["serde", "serde_derive"];
 
-/// One of our packages and its dependencies.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Package {
-    /// Name without the prefix `pb3dp-`.
-    pub name: String,
-    /// Whether it is in `hal/`.
-    pub in_hal: bool,
-    /// Normal and build dependencies, ours without the prefix.
-    pub dependencies: Vec<String>,
-    /// Dependencies of its tests, ours without the prefix.
-    pub test_dependencies: Vec<String>,
+/// The name in the tables.
+fn short(name: &str) -> &str {
+    name.strip_prefix("pb3dp-").unwrap_or(name)
 }
 
-fn short(name: &str) -> String {
-    name.strip_prefix("pb3dp-").unwrap_or(name).to_owned()
-}
-
-/// Third-party packages in the tree, which the rules do not cover.
-const VENDORED: &str = "/hal/vendor/";
-
-/// Members of the workspace from the output of `cargo metadata`.
-///
-/// # Errors
-/// If the output lacks a required key.
-pub fn packages(metadata: &Value) -> anyhow::Result<Vec<Package>> {
-    let all = metadata["packages"].as_array().context("`packages` is missing from cargo metadata")?;
-    let is_vendored = |package: &Value| package["manifest_path"].as_str().is_some_and(|path| path.contains(VENDORED));
-    all.iter().filter(|package| package["source"].is_null() && !is_vendored(package)).map(package).collect()
-}
-
-fn package(package: &Value) -> anyhow::Result<Package> {
-    let name = package["name"].as_str().context("a package has no name")?;
-    let manifest = package["manifest_path"].as_str().context("a package has no manifest")?.replace('\\', "/");
-    let mut found = Package { name: short(name), in_hal: manifest.contains("/hal/"), ..Package::default() };
-    for dependency in package["dependencies"].as_array().context("a package has no dependencies")? {
-        let name = short(dependency["name"].as_str().context("a dependency has no name")?);
-        let for_tests = dependency["kind"].as_str() == Some("dev");
-        if for_tests { found.test_dependencies.push(name) } else { found.dependencies.push(name) }
-    }
-    Ok(found)
-}
-
-/// Checks every package against the tables.
+/// Checks every package against the tables; packages of others in the tree have no rules.
 pub fn check(packages: &[Package]) -> Vec<Violation> {
-    let ours: Vec<&str> = packages.iter().map(|package| package.name.as_str()).collect();
-    packages.iter().flat_map(|package| check_package(package, &ours)).collect()
+    let ours = packages.iter().filter(|package| !package.folder.starts_with("hal/vendor/"));
+    let names: Vec<&str> = ours.clone().map(|package| short(&package.name)).collect();
+    ours.flat_map(|package| check_package(package, &names)).collect()
 }
 
 /// Whether a package is this one or below it.
@@ -149,7 +111,9 @@ fn is_below(package: &str, name: &str) -> bool {
 }
 
 fn check_package(package: &Package, ours: &[&str]) -> Vec<Violation> {
-    let (own, place) = (package.name.as_str(), format!("package {}", package.name));
+    let (own, place) = (short(&package.name), format!("package {}", short(&package.name)));
+    let [dependencies, test_dependencies] =
+        [&package.dependencies, &package.test_dependencies].map(|list| list.iter().map(|name| short(name)));
     if own == SEES_ALL {
         return Vec::new();
     }
@@ -158,12 +122,12 @@ fn check_package(package: &Package, ours: &[&str]) -> Vec<Violation> {
         return vec![Violation::of(&place, "unknown-package", message)];
     }
     let mut violations = Vec::new();
-    let is_wrong = |name: &&String| ours.contains(&name.as_str()) && !is_below(name, own);
-    for name in package.dependencies.iter().filter(is_wrong) {
+    let is_wrong = |name: &&str| ours.contains(name) && !is_below(name, own);
+    for name in dependencies.clone().filter(is_wrong) {
         let message = format!("must not depend on {name}: see the layers in ARCHITECTURE.md");
         violations.push(Violation::of(&place, "direction", message));
     }
-    for name in package.test_dependencies.iter().filter(is_wrong).filter(|name| !is_below_tests(package, name)) {
+    for name in test_dependencies.filter(is_wrong).filter(|name| !is_below_tests(package, name)) {
         let message = format!("its tests must not depend on {name}: move them to the folder tests/");
         violations.push(Violation::of(&place, "direction", message));
     }
@@ -171,7 +135,7 @@ fn check_package(package: &Package, ours: &[&str]) -> Vec<Violation> {
         return violations;
     }
     for (crates, users) in [(&FORMATS[..], &FORMAT_USERS[..]), (&SERDE, &SERDE_USERS)] {
-        let found = package.dependencies.iter().filter(|name| crates.contains(&name.as_str()) && !users.contains(&own));
+        let found = dependencies.clone().filter(|name| crates.contains(name) && !users.contains(&own));
         violations.extend(found.map(|name| {
             let message = format!("must not depend on {name}: only {users:?} do; define the file format there");
             Violation::of(&place, "serde", message)
@@ -181,10 +145,11 @@ fn check_package(package: &Package, ours: &[&str]) -> Vec<Violation> {
 }
 
 fn is_below_tests(package: &Package, name: &str) -> bool {
-    package.name == MEASURES_ALL
+    let own = short(&package.name);
+    own == MEASURES_ALL
         || BELOW_ALL_TESTS.contains(&name)
-        || (package.in_hal && BELOW_HAL_TESTS.contains(&name))
-        || BELOW_TESTS_OF.iter().any(|(of, below)| *of == package.name && is_below(name, below))
+        || (package.folder.starts_with("hal/") && BELOW_HAL_TESTS.contains(&name))
+        || BELOW_TESTS_OF.iter().any(|(of, below)| *of == own && is_below(name, below))
 }
 
 #[cfg(test)]
@@ -194,7 +159,8 @@ mod tests {
     fn with(name: &str, in_hal: bool, dependencies: &[&str], test_dependencies: &[&str]) -> Package {
         let owned = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
         let (dependencies, test_dependencies) = (owned(dependencies), owned(test_dependencies));
-        Package { name: name.to_owned(), in_hal, dependencies, test_dependencies }
+        let folder = format!("{}/{name}/", if in_hal { "hal" } else { "crates" });
+        Package { name: name.to_owned(), folder, dependencies, test_dependencies }
     }
 
     fn rules(package: Package) -> Vec<&'static str> {
@@ -254,17 +220,5 @@ mod tests {
         assert_eq!(rules(with("bag", false, &["serde"], &[])), ["serde"]);
         assert_eq!(rules(with("record", false, &["serde", "serde-saphyr"], &[])), [""; 0]);
         assert_eq!(rules(with("vision", false, &[], &[])), ["unknown-package"]);
-    }
-
-    #[test]
-    fn metadata_is_understood() {
-        let metadata = serde_json::json!({"packages": [
-            {"name": "serde", "source": "registry+x", "manifest_path": "/r/Cargo.toml", "dependencies": []},
-            {"name": "v4l2-sys-mit", "source": null, "manifest_path": "/x/hal/vendor/v4l2-sys-mit/Cargo.toml", "dependencies": []},
-            {"name": "pb3dp-camera-sim", "source": null, "manifest_path": "/x/hal/camera-sim/Cargo.toml", "dependencies": [
-                {"name": "pb3dp-sim", "kind": null}, {"name": "pb3dp-hal-conformance", "kind": "dev"}]},
-        ]});
-        let expected = with("camera-sim", true, &["sim"], &["hal-conformance"]);
-        assert_eq!(packages(&metadata).expect("complete"), [expected]);
     }
 }

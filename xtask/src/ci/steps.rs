@@ -12,8 +12,8 @@ use super::space;
 use crate::test::Selection;
 use crate::workspace::{Workspace, run_visibly};
 use crate::{
-    check_deps, commissioning, fuzz_build, licences, miri, msrv, panel, python_package, recordings, required, test,
-    tidy, vm,
+    check_deps, commissioning, fuzz_build, licences, miri, panel, python_package, recordings, required, test, tidy,
+    toolchains, vm,
 };
 
 /// Context of the steps.
@@ -172,7 +172,7 @@ pub const STEPS: [Step; 18] = [
     },
     Step { name: "fuzz", due: Due::Tests(FUZZED), run: |progress| fuzz_build::run(progress.workspace) },
     Step { name: "miri", due: Due::Product(KERNELS), run: |progress| miri::run(progress.workspace) },
-    Step { name: "msrv", due: Due::Product(MANIFESTS), run: |progress| msrv::run(progress.workspace) },
+    Step { name: "msrv", due: Due::Product(MANIFESTS), run: |progress| toolchains::check_oldest(progress.workspace) },
 ];
 
 /// Fails with the install command if a component of the toolchain is missing.

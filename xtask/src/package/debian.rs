@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 
-use super::{Release, copy, copy_folder, write};
+use super::Release;
+use crate::files::{copy, copy_folder, remove_folder, write};
 use crate::not_possible::NotPossible;
 use crate::workspace::{Workspace, run_visibly};
 
@@ -49,9 +50,7 @@ pub fn build(workspace: &Workspace, release: &Release, tree: &Path) -> anyhow::R
         return Err(NotPossible::because("dpkg is missing: install the package dpkg to build a .deb"));
     };
     let root = release.folder.join("deb");
-    if root.exists() {
-        fs::remove_dir_all(&root).with_context(|| format!("cannot remove {}", root.display()))?;
-    }
+    remove_folder(&root)?;
     copy_folder(tree, &root.join("usr"))?;
     let functions = root.join("usr/share/zsh/site-functions");
     fs::rename(&functions, root.join("usr/share/zsh/vendor-completions"))
