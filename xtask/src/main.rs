@@ -15,7 +15,6 @@ mod fuzz_build;
 mod hil;
 mod licences;
 mod miri;
-mod mutants;
 mod not_possible;
 mod package;
 mod packages;
@@ -69,7 +68,6 @@ enum Command {
     Panel(panel::Args),
     Recordings(recordings::Args),
     Python(python_package::Args),
-    Mutants(mutants::Args),
     SeededBugs(seeded_bugs::Args),
     SameAnswers(same_answers::Args),
     Package(package::Args),
@@ -94,7 +92,6 @@ fn run(cli: &Cli) -> anyhow::Result<()> {
         Command::Panel(args) => panel::run(&workspace, args),
         Command::Recordings(args) => recordings::run(&workspace, args),
         Command::Python(args) => python_package::run(&workspace, args),
-        Command::Mutants(args) => mutants::run(&workspace, args),
         Command::SeededBugs(args) => seeded_bugs::run(&workspace, args),
         Command::SameAnswers(args) => same_answers::run(&workspace, args),
         Command::Package(args) => package::run(&workspace, args),
