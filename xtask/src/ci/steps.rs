@@ -219,7 +219,7 @@ fn tests(progress: &mut Progress<'_>) -> anyhow::Result<()> {
     progress.ahead = ahead;
     let tested = progress.tested.insert(tested);
     tested.report.conclude()?;
-    required::check(&tested.report, &plan.packages)
+    required::check(workspace, &tested.report, &plan.packages)
 }
 
 /// Starts the build for `accuracy` and `vm`, where a program of lower priority disturbs no test: the last tests and the steps after them keep

@@ -89,7 +89,7 @@ pub fn run(workspace: &Workspace, packages: &Selection) -> anyhow::Result<Built>
 }
 
 /// A program from one of cargo's messages, and whether it is a test.
-fn artifact(message: &Value) -> Option<(bool, Program)> {
+pub fn artifact(message: &Value) -> Option<(bool, Program)> {
     if message["reason"] != "compiler-artifact" {
         return None;
     }
