@@ -18,39 +18,21 @@ const QUICK_ROUNDS: &str = "40";
 
 /// Runs benchmarks with optimisation, and saves the figures with the commit and the machine.
 ///
-/// speed   the published method (kernels, a frame, ratio to the naive scalar version), then the direct method: cold start,
-///         tracking, kernels, and scaling; --cases DIR adds real cases, --quick takes half a minute;
-///         `cargo xtask bench speed -- --help` lists the options. Writes docs/benchmarks/speed.md
-/// raster  stereo pairs per second and core of the simulator's rasteriser; printed only
-/// real    every method on real stereo cases, compared with other tools if given: --cases DIR, --peers DIR;
-///         `cargo xtask bench real -- --help` lists the options. Writes docs/benchmarks/real.md; with --leave-one-scene-out
-///         docs/benchmarks/left_out.md, with --sequences DIR docs/benchmarks/sequences.md
-/// accuracy  every method on rendered scenes with exact truth, compared with the Cramér-Rao bound (up to 20 minutes on two cores;
-///           --quick: 3); `cargo xtask bench accuracy -- --help` lists the options. Writes docs/benchmarks/accuracy.md
-/// figures  the figures of docs/method.md, on rendered scenes: takes some minutes. Writes docs/images/score.svg, noise.svg, track.svg
-/// servo   tracking error of the hand in simulation: the experiment of Fig. 7, sinusoids, steps, compared with an ideal filter or
-///         the arm's limits; fails if a limit is missed (ten minutes on two idle cores; --quick: seconds; --only WORDS,
-///         --seed N). Writes docs/benchmarks/servo.md
-/// safety  seeded runs with random faults, with both arms emulated in virtual time, checked against the simulator's truth;
-///         fails if an invariant is violated, and prints the command to repeat that run: --runs N, --trace, --quick (200 runs, no page),
-///         --seed N (without it a fresh seed is drawn and printed; a full run also repeats the seeds that once found something),
-///         --rendered N (repeats the first N runs with rendered images); a run of default length writes docs/benchmarks/safety.md.
-///         --disabled, in a separate build: disables each safeguard, which must cause a violation; --only NAME: some of them;
-///         a run with all safeguards writes their part of that page
-/// calibration  accuracy of chessboard corners and of the calibrations from them, on rendered boards with exact truth and on real
-///         boards; fails if a limit is missed (some minutes; --quick: a minute; --boards adds real boards; --seed N).
-///         Writes docs/benchmarks/calibration.md
-/// panel   cost of the operator panel: processor time and lateness of control steps with 0, 1 and 5 pages; fails if a limit is
-///         missed (6 minutes; --quick). Writes docs/benchmarks/panel.md
-/// recordings  what a recording costs a live run (lateness, size, rate), how long its replay takes, ten minutes of two cameras in one
-///         file; fails if a limit is missed (20 minutes on two idle cores; --quick; --folder DIR for the files, 4 GB).
-///         Writes docs/benchmarks/recordings.md
-/// all     speed and raster
+/// speed        the published method and the direct one: kernels, cold start, tracking, scaling
+/// raster       stereo pairs per second and core of the simulator's rasteriser; printed only
+/// real         every method on real stereo cases, compared with other tools
+/// accuracy     every method on rendered scenes with exact truth, compared with the Cramér-Rao bound
+/// figures      the figures of docs/method.md
+/// servo        tracking error of the hand in simulation, compared with an ideal filter or the arm's limits
+/// safety       seeded runs with random faults, checked against the simulator's truth; --disabled: without each safeguard
+/// calibration  accuracy of chessboard corners and of the calibrations from them
+/// panel        cost of the operator panel: processor time, and lateness of control steps
+/// recordings   what a recording costs a live run, and how long its replay takes
+/// all          speed and raster
 ///
-/// All are in crates/benchmarks, except `corner_accuracy` of crates/calibration and `panel_cost` of crates/panel: the examples
-/// `published_speed` and `raster_speed` measure the published method and the rasteriser, `servo` and `safety` the whole loop,
-/// `pb3dp-bench` all others; each prints its own table. The figures are also
-/// saved in `out/bench/*.json`, with commit, processor and compiler. Measure on an idle machine.
+/// docs/benchmarks/README.md lists the pages that full runs write, and the times that they take; `-- --help` after
+/// speed, real, accuracy and figures lists all options. The figures are also saved in `out/bench/*.json`, with commit, processor
+/// and compiler. Measure on an idle machine.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Args {

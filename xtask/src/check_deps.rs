@@ -12,16 +12,9 @@ use crate::workspace::{Workspace, output_of};
 
 /// Checks the rules for dependencies between packages and modules, and for access to the system.
 ///
-/// * Dependencies between our packages go downwards only, as in the table of xtask/src/check_deps/graph.rs; every package
-///   of the workspace has a row there.
-/// * No cycle between modules of one parent: those that lib.rs declares, and those of each folder below.
-/// * A list of modules may name backends; backends do not name each other, the estimation or the servo.
-/// * The entry of the estimation has at most 120 public items, and no glob re-export.
-/// * A build of one package has the features of third-party crates that the build of all packages has.
-/// * The lock file of the fuzz targets has the dependencies of our packages.
-/// * Only setup, cell, commissioning, orchestrator, record, benchmarks and calibration use serde.
-/// * Files, threads, clocks, the environment, the network: only the modules in the table of xtask/src/check_deps/source.rs
-///   may use them; tests are exempt.
+/// Dependencies between packages go downwards, as in the table of xtask/src/check_deps/graph.rs, and those between modules form no
+/// cycle; files, threads, clocks, the environment and the network are used in the places of xtask/src/check_deps/source.rs. The table
+/// of all rules is in CONTRIBUTING.md.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Args {}

@@ -30,20 +30,19 @@ const FIGURES: [(&str, &str); 2] = [
 pub struct Args {
     /// Skip the experiments.
     #[arg(long)]
-    calibrate_only: bool,
+    pub calibrate_only: bool,
     /// Build with optimisation; the experiments then take a third of the time.
     #[arg(long)]
-    release: bool,
+    pub release: bool,
 }
 
+/// With the programs in a folder, or after a build.
+///
 /// # Errors
 /// If a command fails, or the tracking error is too large.
-pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
-    let programs = [&PROGRAM[..2], &["--package", "pb3dp-calibration", "--bins"]].concat();
-    with_programs(workspace, args, &workspace.build(args.release, &programs)?)
-}
-
-fn with_programs(workspace: &Workspace, args: &Args, programs: &Path) -> anyhow::Result<()> {
+pub fn run(workspace: &Workspace, args: &Args, programs: Option<&Path>) -> anyhow::Result<()> {
+    let all = [&PROGRAM[..2], &["--package", "pb3dp-calibration", "--bins"]].concat();
+    let programs = &programs.map_or_else(|| workspace.build(args.release, &all), |folder| Ok(folder.to_path_buf()))?;
     let place = workspace.root().join(PLACE);
     remove_folder(&place)?;
     copy_folder(&workspace.root().join("configs"), &place.join("configs"))?;
@@ -56,18 +55,6 @@ fn with_programs(workspace: &Workspace, args: &Args, programs: &Path) -> anyhow:
     exact_cell(&place)?;
     let [found, exact] = ["calibrated", "exact"].map(|name| experiment(&place, programs, name));
     compare(&found?, &exact?)
-}
-
-/// The calibration alone, for `cargo xtask ci`, with existing programs or after a build.
-///
-/// # Errors
-/// Those of [`run`].
-pub fn calibrate(workspace: &Workspace, programs: Option<&Path>) -> anyhow::Result<()> {
-    let args = Args { calibrate_only: true, release: false };
-    match programs {
-        Some(programs) => with_programs(workspace, &args, programs),
-        None => run(workspace, &args),
-    }
 }
 
 /// The lines of the section's shell blocks.

@@ -1,7 +1,7 @@
 //! Copying, writing and removing files, with errors that name them.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 
@@ -64,4 +64,18 @@ pub fn write(file: &Path, text: &str) -> anyhow::Result<()> {
 /// If it cannot be read.
 pub fn read(file: &Path) -> anyhow::Result<String> {
     fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))
+}
+
+/// All files below a folder, sorted.
+///
+/// # Errors
+/// If a folder cannot be listed.
+pub fn all(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
+    let mut files = Vec::new();
+    for entry in fs::read_dir(folder).with_context(|| format!("cannot list {}", folder.display()))? {
+        let path = entry?.path();
+        if path.is_dir() { files.extend(all(&path)?) } else { files.push(path) }
+    }
+    files.sort();
+    Ok(files)
 }

@@ -72,10 +72,8 @@ fn from_clone(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
 /// Those of [`run`]; [`NotPossible`] if tests failed while the machine held threads up.
 pub fn check(workspace: &Workspace, programs: Option<&Path>) -> anyhow::Result<()> {
     let witness = Witness::start();
-    let result = match programs {
-        Some(programs) => with_program(workspace, programs, &Args::default()),
-        None => run(workspace, &Args::default()),
-    };
+    let programs = workspace.programs(programs, false);
+    let result = programs.and_then(|programs| with_program(workspace, &programs, &Args::default()));
     let late = witness.end();
     match result {
         Err(error) if late > HELD_UP && error.downcast_ref::<NotPossible>().is_none() => {

@@ -6,7 +6,7 @@ use anyhow::Context;
 
 use crate::files::{copy, remove_folder};
 use crate::pytest::{environment, pip_install, pytest};
-use crate::workspace::{PROGRAM, Workspace, run_visibly};
+use crate::workspace::{Workspace, run_visibly};
 
 const TESTS: &str = "tests/python";
 const PACKAGE: &str = "crates/python";
@@ -31,25 +31,18 @@ pub struct Args {
     bench: bool,
 }
 
+/// All tests with the programs in a folder, or after a build.
+///
 /// # Errors
 /// If a test fails, or the machine lacks a requirement.
-pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
+pub fn run(workspace: &Workspace, args: &Args, programs: Option<&Path>) -> anyhow::Result<()> {
     // A test build, also beside a wheel of the release: the bits are the same in every profile.
-    let programs = workspace.build(false, &PROGRAM)?;
+    let programs = workspace.programs(programs, false)?;
     let python = if args.wheel { of_wheel(workspace)? } else { of_test_build(workspace)? };
     if args.bench {
         return run_visibly(workspace.command(&python.interpreter).args([&format!("{TESTS}/overhead.py")]));
     }
     test(workspace, &python, &programs, args.filter.as_deref())
-}
-
-/// All tests with the programs in a folder and the module of the test build, or after a build.
-///
-/// # Errors
-/// Those of [`run`].
-pub fn check(workspace: &Workspace, programs: Option<&Path>) -> anyhow::Result<()> {
-    let Some(programs) = programs else { return run(workspace, &Args::default()) };
-    test(workspace, &of_test_build(workspace)?, programs, None)
 }
 
 /// A Python that has the package.

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::not_possible::NotPossible;
 use crate::pytest::{environment, pip_install, pytest};
-use crate::workspace::{PROGRAM, Workspace, run_visibly};
+use crate::workspace::{Workspace, run_visibly};
 
 const TESTS: &str = "tests/recordings";
 
@@ -28,7 +28,7 @@ pub struct Args {
 /// # Errors
 /// If a test fails, or the machine lacks a requirement.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
-    let programs = workspace.build(args.release, &PROGRAM)?;
+    let programs = workspace.programs(None, args.release)?;
     let python = environment(workspace, "recordings-python", TESTS)?;
     if args.rerun {
         install_rerun(workspace, &python)?;
@@ -41,7 +41,7 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
 /// # Errors
 /// Those of [`run`].
 pub fn check(workspace: &Workspace, programs: Option<&Path>) -> anyhow::Result<()> {
-    let programs = programs.map_or_else(|| workspace.build(false, &PROGRAM), |programs| Ok(programs.to_path_buf()))?;
+    let programs = workspace.programs(programs, false)?;
     let python = environment(workspace, "recordings-python", TESTS)?;
     let rerun = install_rerun(workspace, &python).map_err(|why| println!("NOT CHECKED: {why:#}")).is_ok();
     with_program(workspace, &programs, &python, &Args { rerun, ..Args::default() })

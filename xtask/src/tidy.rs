@@ -24,17 +24,8 @@ const TEXT_ENDINGS: [&str; 14] = [
 
 /// Checks style rules beyond rustfmt and clippy.
 ///
-/// * Rust: files of at most 600 lines, no ignored tests, no tests that expect a panic by attribute. Clippy checks the length of
-///   functions, and unfinished code.
-/// * Tests: each file in a folder `tests` belongs to a test program.
-/// * Text: no absolute paths of one machine, no paths outside the repository, reminders only as `TODO(name, issue)`.
-/// * Markdown: one sentence per line; all links and paths exist.
-/// * docs/: every page is exactly once in the table of contents of the site, docs/SUMMARY.md.
-/// * configs/: every TOML file, every robot description and every file of configs/deploy parses; docs/parameters.md lists each parameter of
-///   configs/estimator.toml with the same default.
-/// * Layout: the top level contains exactly the agreed entries; every package uses the workspace's lints, version and
-///   dependencies, no profile of a release has debug assertions, and its root file starts with a `//!` text; every third-party dependency is used, and has its reason in
-///   docs/adr/0002-dependencies.md.
+/// Files, tests, Markdown with its links, configurations, manifests, words: the table of rules is in CONTRIBUTING.md. Clippy checks
+/// the length of functions, and unfinished code.
 ///
 /// Each violation is printed as `file:line: [rule] remedy`.
 #[derive(clap::Args)]

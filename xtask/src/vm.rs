@@ -13,6 +13,7 @@ use std::time::Instant;
 
 use anyhow::{Context, bail};
 
+use crate::files::{create_folder, remove_folder};
 use crate::not_possible::NotPossible;
 use crate::workspace::{Workspace, run_visibly};
 use archive::Archive;
@@ -120,10 +121,13 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
 
 fn run_suite(suite: &Suite, packed: Archive, kernel: &Kernel, qemu: &Path, shows_console: bool) -> anyhow::Result<()> {
     let begin = Instant::now();
-    let folder = Folder::new(suite.name)?;
-    let disk = folder.0.join("initrd");
-    packed.write(&disk)?;
-    let outcome = try_suite(suite, shows_console, || Machine::start(qemu, &kernel.image, &disk, suite, &folder.0));
+    // Its path is short: sockets have at most 107 characters.
+    let folder = std::env::temp_dir().join(format!("pb3dp-vm-{}-{}", std::process::id(), suite.name));
+    create_folder(&folder)?;
+    let disk = folder.join("initrd");
+    let start = || Machine::start(qemu, &kernel.image, &disk, suite, &folder);
+    let outcome = packed.write(&disk).and_then(|()| try_suite(suite, shows_console, start));
+    remove_folder(&folder)?;
     println!("{}: {:.1} s", suite.name, begin.elapsed().as_secs_f64());
     outcome
 }
@@ -286,23 +290,6 @@ fn watch(machine: &mut Machine, suite: &Suite, shows_console: bool, tally: &mut 
 fn last_lines(lines: &[String]) -> String {
     let shown: Vec<&str> = lines.iter().rev().take(12).rev().map(String::as_str).collect();
     format!("its console said:\n{}", shown.join("\n"))
-}
-
-/// A folder that is removed on drop. Its path is short: sockets have at most 107 characters.
-struct Folder(PathBuf);
-
-impl Folder {
-    fn new(suite: &str) -> anyhow::Result<Self> {
-        let path = std::env::temp_dir().join(format!("pb3dp-vm-{}-{suite}", std::process::id()));
-        std::fs::create_dir_all(&path).with_context(|| format!("cannot create {}", path.display()))?;
-        Ok(Self(path))
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        std::fs::remove_dir_all(&self.0).ok();
-    }
 }
 
 #[cfg(test)]

@@ -138,6 +138,14 @@ impl Workspace {
         Ok(self.target_folder()?.join(if is_release { "release" } else { "debug" }))
     }
 
+    /// The folder of the program `pb3dp`, which is built unless the folder is given.
+    ///
+    /// # Errors
+    /// If it does not build.
+    pub fn programs(&self, given: Option<&Path>, is_release: bool) -> anyhow::Result<PathBuf> {
+        given.map_or_else(|| self.build(is_release, &PROGRAM), |folder| Ok(folder.to_path_buf()))
+    }
+
     /// The command that builds and runs an example with optimisation; its options follow.
     pub fn example(&self, package: &str, example: &str) -> Command {
         let mut command = self.cargo();

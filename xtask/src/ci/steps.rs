@@ -151,7 +151,10 @@ pub const STEPS: [Step; 18] = [
     Step {
         name: "commissioning",
         due: Due::Product(&["pb3dp-calibration", "pb3dp-orchestrator"]),
-        run: |progress| commissioning::calibrate(progress.workspace, progress.programs()),
+        run: |progress| {
+            let args = commissioning::Args { calibrate_only: true, release: false };
+            commissioning::run(progress.workspace, &args, progress.programs())
+        },
     },
     Step {
         name: "recordings",
@@ -161,7 +164,7 @@ pub const STEPS: [Step; 18] = [
     Step {
         name: "python",
         due: Due::Tests(&["pb3dp-python", "pb3dp-orchestrator"]),
-        run: |progress| python_package::check(progress.workspace, progress.programs()),
+        run: |progress| python_package::run(progress.workspace, &python_package::Args::default(), progress.programs()),
     },
     Step { name: "panel", due: Due::Tests(&["pb3dp-panel"]), run: driven_panel },
     Step { name: "accuracy", due: Due::Product(&[MEASURED]), run: accuracy },

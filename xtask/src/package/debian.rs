@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 
 use super::Release;
-use crate::files::{copy, copy_folder, remove_folder, write};
+use crate::files::{self, copy, copy_folder, remove_folder, write};
 use crate::not_possible::NotPossible;
 use crate::workspace::{Workspace, run_visibly};
 
@@ -62,7 +62,8 @@ pub fn build(workspace: &Workspace, release: &Release, tree: &Path) -> anyhow::R
     for (from, to) in DEPLOYED {
         copy(&workspace.root().join("configs/deploy").join(from), &root.join(to))?;
     }
-    let size_kib = run_size(&root)? / 1024;
+    let size_kib =
+        files::all(&root)?.iter().map(|file| fs::metadata(file).map_or(0, |found| found.len())).sum::<u64>() / 1024;
     write(&root.join("DEBIAN/control"), &control(&release.version, &architecture, size_kib))?;
     let of_user: String =
         DEPLOYED.iter().filter(|(_, to)| to.starts_with("etc/")).map(|(_, to)| format!("/{to}\n")).collect();
@@ -93,16 +94,6 @@ fn control(version: &str, architecture: &str, size_kib: u64) -> String {
          pb3dp estimates the pose of the object in every frame, and a robot arm that\n \
          carries the cameras keeps a chosen pose relative to it.\n"
     )
-}
-
-/// Bytes of all files below a folder.
-fn run_size(folder: &Path) -> anyhow::Result<u64> {
-    let mut bytes = 0;
-    for entry in fs::read_dir(folder).with_context(|| format!("cannot list {}", folder.display()))? {
-        let entry = entry?;
-        bytes += if entry.path().is_dir() { run_size(&entry.path())? } else { entry.metadata()?.len() };
-    }
-    Ok(bytes)
 }
 
 #[cfg(test)]

@@ -149,7 +149,7 @@ fn keep_image(packed: &Path, folder: &Path) -> anyhow::Result<()> {
         Some(payload) if payload.starts_with(b"\xfd7zXZ\0") => {
             let file = folder.join("payload");
             fs::write(&file, payload)?;
-            let image = unpacked_stream(&file)?;
+            let image = unpacked("xz", &file)?;
             fs::remove_file(&file)?;
             image
         }
@@ -157,14 +157,6 @@ fn keep_image(packed: &Path, folder: &Path) -> anyhow::Result<()> {
     };
     fs::write(folder.join("image"), image).context("cannot write the kernel")?;
     fs::remove_file(packed).context("cannot remove the packed kernel")
-}
-
-/// The length of the kernel follows the packed stream; `xz` would report it as damage, so it is cut off first.
-fn unpacked_stream(file: &Path) -> anyhow::Result<Vec<u8>> {
-    let whole = fs::read(file)?;
-    let end = whole.len().saturating_sub(4);
-    fs::write(file, &whole[..end])?;
-    unpacked("xz", file)
 }
 
 /// Position of the packed kernel in its file, from the header of the boot protocol (Linux, Documentation/arch/x86/boot.rst, 2.08 and later).
