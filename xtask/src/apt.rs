@@ -2,9 +2,8 @@
 
 use std::process::{Command, Stdio};
 
-use anyhow::{Context, bail};
-
 use crate::not_possible::NotPossible;
+use crate::workspace::output_of;
 
 /// A server that does not answer fails the tests instead of blocking them.
 const IMPATIENT: [&str; 6] =
@@ -47,17 +46,4 @@ pub fn need(program: &str, package: &str, runs: impl Fn() -> bool) -> anyhow::Re
         return Err(NotPossible::because(format!("{package} is installed, but {program} does not start")));
     }
     Ok(())
-}
-
-/// Standard output of a command.
-///
-/// # Errors
-/// If it does not start, or fails, with its standard error.
-pub fn output_of(command: &mut Command) -> anyhow::Result<String> {
-    let name = command.get_program().to_string_lossy().into_owned();
-    let output = command.output().with_context(|| format!("cannot start {name}"))?;
-    if !output.status.success() {
-        bail!("{name} failed: {}", String::from_utf8_lossy(&output.stderr).trim_end());
-    }
-    Ok(String::from_utf8_lossy(&output.stdout).into_owned())
 }

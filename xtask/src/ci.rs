@@ -31,7 +31,7 @@ pub struct Args {
     /// Run all checks, even if the change does not touch them.
     #[arg(long)]
     all: bool,
-    /// Also print the 20 slowest test programs with build and run time.
+    /// Also print the 20 slowest test programs by run time.
     #[arg(long)]
     timings: bool,
 }
@@ -87,7 +87,7 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     if args.timings
         && let Some(tested) = &progress.tested
     {
-        print!("{}", tested.timings());
+        print!("{}", tested.report.slowest());
     }
     print!("{}", summary(&done, &progress));
     if let Some(tested) = &progress.tested {

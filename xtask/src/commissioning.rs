@@ -1,12 +1,12 @@
 //! `cargo xtask commissioning`: calibrates the bare rig by the commands of the documentation, and then runs the experiment.
 
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
 use anyhow::{Context, bail};
 
-use crate::workspace::{Workspace, run_visibly};
+use crate::files::{copy_folder, read, remove_folder, write};
+use crate::workspace::{PROGRAM, Workspace};
 
 const DOCUMENT: &str = "docs/commissioning.md";
 /// The section whose commands are run.
@@ -30,27 +30,23 @@ const FIGURES: [(&str, &str); 2] = [
 pub struct Args {
     /// Skip the experiments.
     #[arg(long)]
-    calibrate_only: bool,
+    pub calibrate_only: bool,
     /// Build with optimisation; the experiments then take a third of the time.
     #[arg(long)]
-    release: bool,
+    pub release: bool,
 }
 
+/// With the programs in a folder, or after a build.
+///
 /// # Errors
 /// If a command fails, or the tracking error is too large.
-pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
-    with_programs(workspace, args, &build(workspace, args.release)?)
-}
-
-fn with_programs(workspace: &Workspace, args: &Args, programs: &Path) -> anyhow::Result<()> {
+pub fn run(workspace: &Workspace, args: &Args, programs: Option<&Path>) -> anyhow::Result<()> {
+    let all = [&PROGRAM[..2], &["--package", "pb3dp-calibration", "--bins"]].concat();
+    let programs = &programs.map_or_else(|| workspace.build(args.release, &all), |folder| Ok(folder.to_path_buf()))?;
     let place = workspace.root().join(PLACE);
-    if place.exists() {
-        fs::remove_dir_all(&place).with_context(|| format!("cannot remove {PLACE}"))?;
-    }
+    remove_folder(&place)?;
     copy_folder(&workspace.root().join("configs"), &place.join("configs"))?;
-    let text =
-        fs::read_to_string(workspace.root().join(DOCUMENT)).with_context(|| format!("cannot read {DOCUMENT}"))?;
-    for command in commands(&text)? {
+    for command in commands(&read(&workspace.root().join(DOCUMENT))?)? {
         in_shell(&place, programs, &command)?;
     }
     if args.calibrate_only {
@@ -59,41 +55,6 @@ fn with_programs(workspace: &Workspace, args: &Args, programs: &Path) -> anyhow:
     exact_cell(&place)?;
     let [found, exact] = ["calibrated", "exact"].map(|name| experiment(&place, programs, name));
     compare(&found?, &exact?)
-}
-
-/// The calibration alone, for `cargo xtask ci`, with existing programs or after a build.
-///
-/// # Errors
-/// Those of [`run`].
-pub fn calibrate(workspace: &Workspace, programs: Option<&Path>) -> anyhow::Result<()> {
-    let args = Args { calibrate_only: true, release: false };
-    match programs {
-        Some(programs) => with_programs(workspace, &args, programs),
-        None => run(workspace, &args),
-    }
-}
-
-/// The folder with both programs.
-fn build(workspace: &Workspace, release: bool) -> anyhow::Result<PathBuf> {
-    let profile: &[&str] = if release { &["--release"] } else { &[] };
-    let packages = ["--locked", "--package", "pb3dp-orchestrator", "--package", "pb3dp-calibration", "--bins"];
-    run_visibly(workspace.cargo().arg("build").args(profile).args(packages))?;
-    let target = workspace.metadata()?["target_directory"].as_str().context("cargo has no target folder")?.to_owned();
-    Ok(Path::new(&target).join(if release { "release" } else { "debug" }))
-}
-
-fn copy_folder(from: &Path, to: &Path) -> anyhow::Result<()> {
-    fs::create_dir_all(to).with_context(|| format!("cannot create {}", to.display()))?;
-    for entry in fs::read_dir(from).with_context(|| format!("cannot read {}", from.display()))? {
-        let entry = entry?.path();
-        let copy = to.join(entry.file_name().context("a file without a name")?);
-        if entry.is_dir() {
-            copy_folder(&entry, &copy)?;
-        } else {
-            fs::copy(&entry, &copy).with_context(|| format!("cannot copy {}", entry.display()))?;
-        }
-    }
-    Ok(())
 }
 
 /// The lines of the section's shell blocks.
@@ -123,13 +84,12 @@ fn in_shell(place: &Path, programs: &Path, command: &str) -> anyhow::Result<()> 
 /// The calibrated setup in a workcell that equals it exactly, except for the second arm.
 fn exact_cell(place: &Path) -> anyhow::Result<()> {
     let file = place.join("configs/calibrated.toml");
-    let text = fs::read_to_string(&file).with_context(|| format!("cannot read {}", file.display()))?;
-    let setup: toml::Table = text.parse()?;
+    let setup: toml::Table = read(&file)?.parse()?;
     let calibration = setup["camera"].get("calibration").context("camera.calibration is not set")?;
-    let text = format!(
+    let exact = format!(
         "base = \"calibrated.toml\"\nwithout = [\"truth.flange_from_cam_left\"]\n\n[truth]\ncalibration = {calibration}\n"
     );
-    Ok(fs::write(place.join("configs/exact.toml"), text)?)
+    write(&place.join("configs/exact.toml"), &exact)
 }
 
 /// The summary of a run.
@@ -137,8 +97,7 @@ fn experiment(place: &Path, programs: &Path, name: &str) -> anyhow::Result<serde
     println!("Fig. 7, {name}");
     in_shell(place, programs, &format!("pb3dp run --config configs/{name}.toml --out out/{name}"))?;
     let file = place.join("out").join(name).join("summary.json");
-    let text = fs::read_to_string(&file).with_context(|| format!("cannot read {}", file.display()))?;
-    Ok(serde_json::from_str(&text)?)
+    Ok(serde_json::from_str(&read(&file)?)?)
 }
 
 fn compare(found: &serde_json::Value, exact: &serde_json::Value) -> anyhow::Result<()> {

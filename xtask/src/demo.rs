@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use anyhow::bail;
 
-use crate::workspace::{Workspace, run_visibly};
+use crate::workspace::{PROGRAM, Workspace, run_visibly};
 
 const CONFIG: &str = "configs/sim.toml";
 const OUT: &str = "out/demo";
@@ -28,16 +28,13 @@ pub struct Args {
 /// # Errors
 /// If the program does not build, the run fails, or the report is missing.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
-    let package = ["--release", "--locked", "--package", "pb3dp-orchestrator", "--bin", "pb3dp"];
     println!("Building pb3dp with optimisation (3 to 7 minutes the first time).");
     let start = Instant::now();
-    run_visibly(workspace.cargo().arg("build").args(package))?;
+    let program = workspace.build(true, &PROGRAM)?.join("pb3dp");
     println!("Built in {:.0} s. Now the experiment.", start.elapsed().as_secs_f64());
 
     let start = Instant::now();
-    let program = ["--quiet"].into_iter().chain(package);
-    let run = ["--", "run", "--config", args.config.as_str(), "--out", args.out.as_str()];
-    run_visibly(workspace.cargo().arg("run").args(program).args(run))?;
+    run_visibly(workspace.command(program).args(["run", "--config", &args.config, "--out", &args.out]))?;
 
     let report = workspace.root().join(&args.out).join("report.html");
     if !report.is_file() {

@@ -1,6 +1,6 @@
 //! `cargo xtask fuzz-build`: checks that the fuzz targets build.
 
-use crate::nightly;
+use crate::toolchains::nightly;
 use crate::workspace::{Workspace, run_visibly};
 
 /// Builds the fuzz targets of `tests/fuzz` with the nightly compiler, so that interface changes cannot break them unnoticed.
@@ -17,7 +17,7 @@ const MANIFEST: &str = "tests/fuzz/Cargo.toml";
 /// # Errors
 /// [`NotPossible`](crate::not_possible::NotPossible) without the nightly toolchain; otherwise if a target does not build.
 pub fn run(workspace: &Workspace) -> anyhow::Result<()> {
-    let mut command = nightly::cargo(workspace, None)?;
+    let mut command = nightly(workspace, None)?;
     command.args(["build", "--locked", "--bins", "--manifest-path", MANIFEST]);
     // cargo-fuzz sets `fuzzing`. The targets also link without its sanitizers and counters.
     command.env("RUSTFLAGS", "--cfg fuzzing").env("CARGO_TARGET_DIR", workspace.target_folder()?.join("fuzz"));

@@ -26,8 +26,7 @@ pub struct Args {
 /// # Errors
 /// If a number is out of range, the program does not build, or the error through serial lines is too large.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
-    let mut command = workspace.cargo();
-    command.args(["run", "--release", "--locked", "--package", "system-tests", "--example", "hil", "--"]);
+    let mut command = workspace.example("system-tests", "hil");
     if let Some(seconds) = args.stop_after {
         if !(seconds > 0.0 && seconds <= 3600.0) {
             bail!("--stop-after {seconds} is out of range: give more than 0 and at most 3600");

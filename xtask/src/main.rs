@@ -10,17 +10,16 @@ mod check_deps;
 mod ci;
 mod commissioning;
 mod demo;
+mod files;
 mod fuzz_build;
 mod hil;
 mod licences;
 mod miri;
-mod msrv;
-mod mutants;
-mod nightly;
 mod not_possible;
 mod package;
+mod packages;
 mod panel;
-mod python_environment;
+mod pytest;
 mod python_package;
 mod recordings;
 mod reference;
@@ -33,6 +32,7 @@ mod seeded_bugs;
 mod soak;
 mod test;
 mod tidy;
+mod toolchains;
 mod violation;
 mod vm;
 mod workspace;
@@ -69,7 +69,6 @@ enum Command {
     Panel(panel::Args),
     Recordings(recordings::Args),
     Python(python_package::Args),
-    Mutants(mutants::Args),
     SeededBugs(seeded_bugs::Args),
     SameAnswers(same_answers::Args),
     Package(package::Args),
@@ -87,14 +86,13 @@ fn run(cli: &Cli) -> anyhow::Result<()> {
         Command::Bench(args) => bench::run(&workspace, args),
         Command::Hil(args) => hil::run(&workspace, args),
         Command::Soak(args) => soak::run(&workspace, args),
-        Command::Commissioning(args) => commissioning::run(&workspace, args),
+        Command::Commissioning(args) => commissioning::run(&workspace, args, None),
         Command::Vm(args) => vm::run(&workspace, args),
         Command::FuzzBuild(_) => fuzz_build::run(&workspace),
         Command::Miri(_) => miri::run(&workspace),
         Command::Panel(args) => panel::run(&workspace, args),
         Command::Recordings(args) => recordings::run(&workspace, args),
-        Command::Python(args) => python_package::run(&workspace, args),
-        Command::Mutants(args) => mutants::run(&workspace, args),
+        Command::Python(args) => python_package::run(&workspace, args, None),
         Command::SeededBugs(args) => seeded_bugs::run(&workspace, args),
         Command::SameAnswers(args) => same_answers::run(&workspace, args),
         Command::Package(args) => package::run(&workspace, args),

@@ -1,6 +1,6 @@
 //! `cargo xtask miri`: checks the unsafe kernels for undefined behaviour.
 
-use crate::nightly;
+use crate::toolchains::nightly;
 use crate::workspace::{Workspace, run_visibly};
 
 /// Checks the scalar forms of the unsafe kernels for undefined behaviour: runs some of their unit tests in the interpreter Miri.
@@ -42,7 +42,7 @@ const INTERPRETED: [Interpreted; 3] = [
 pub fn run(workspace: &Workspace) -> anyhow::Result<()> {
     let target = workspace.target_folder()?.join("miri");
     for Interpreted { package, tests } in &INTERPRETED {
-        let mut command = nightly::cargo(workspace, Some("miri"))?;
+        let mut command = nightly(workspace, Some("miri"))?;
         command.args(["miri", "test", "--locked", "--lib", "--package", package, "--", "--exact"]).args(*tests);
         // proptest and `sweep` read environment variables.
         command.env("CARGO_TARGET_DIR", &target).env("MIRIFLAGS", "-Zmiri-disable-isolation");

@@ -9,8 +9,9 @@ mod trial;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::Context;
 
+use crate::files::{copy, copy_folder, remove_folder, write};
 use crate::workspace::{Workspace, run_visibly};
 
 /// Files of the root that a release contains as documentation.
@@ -113,9 +114,7 @@ fn build(workspace: &Workspace) -> anyhow::Result<Release> {
 /// Copies all files to their places below a prefix (`/usr`, `/usr/local`); returns the prefix.
 fn stage(workspace: &Workspace, release: &Release) -> anyhow::Result<PathBuf> {
     let tree = release.folder.join(format!("pb3dp-{}-{}", release.version, release.triple));
-    if tree.exists() {
-        fs::remove_dir_all(&tree).with_context(|| format!("cannot remove {}", tree.display()))?;
-    }
+    remove_folder(&tree)?;
     let program = tree.join("bin/pb3dp");
     copy(&release.program, &program)?;
     run_visibly(workspace.command("strip").arg(&program))?;
@@ -156,29 +155,4 @@ fn archive(workspace: &Workspace, release: &Release, tree: &Path) -> anyhow::Res
 fn size_of(file: &Path) -> anyhow::Result<String> {
     let bytes = fs::metadata(file).with_context(|| format!("cannot find {}", file.display()))?.len();
     Ok(format!("{}: {:.1} MB", file.display(), bytes as f64 / 1e6))
-}
-
-/// Copies a file with its permissions, and creates its folder.
-fn copy(from: &Path, to: &Path) -> anyhow::Result<()> {
-    if let Some(folder) = to.parent() {
-        fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
-    }
-    fs::copy(from, to).with_context(|| format!("cannot copy {} to {}", from.display(), to.display()))?;
-    Ok(())
-}
-
-fn copy_folder(from: &Path, to: &Path) -> anyhow::Result<()> {
-    for entry in fs::read_dir(from).with_context(|| format!("cannot list {}", from.display()))? {
-        let path = entry?.path();
-        let Some(name) = path.file_name() else { bail!("{} has no name", path.display()) };
-        if path.is_dir() { copy_folder(&path, &to.join(name))? } else { copy(&path, &to.join(name))? }
-    }
-    Ok(())
-}
-
-fn write(file: &Path, text: &str) -> anyhow::Result<()> {
-    if let Some(folder) = file.parent() {
-        fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
-    }
-    fs::write(file, text).with_context(|| format!("cannot write {}", file.display()))
 }

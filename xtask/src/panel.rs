@@ -1,6 +1,5 @@
 //! `cargo xtask panel`: drives the operator panel with a browser.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,9 +9,10 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 
 use crate::apt::need;
+use crate::files::remove_folder;
 use crate::not_possible::NotPossible;
-use crate::python_environment;
-use crate::workspace::{Workspace, run_visibly};
+use crate::pytest::{environment, pytest};
+use crate::workspace::{PROGRAM, Workspace, run_visibly};
 
 const TESTS: &str = "tests/panel";
 const LONG_TESTS: &str = "tests/panel/long_panel.py";
@@ -51,35 +51,19 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     if args.from_clone {
         return from_clone(workspace, args);
     }
-    let mut build = workspace.cargo();
-    build.args(["build", "--locked", "--package", "pb3dp-orchestrator", "--bin", "pb3dp"]);
-    if args.release {
-        build.arg("--release");
-    }
-    run_visibly(&mut build)?;
-    let profile = if args.release { "release" } else { "debug" };
-    with_program(workspace, &workspace.target_folder()?.join(profile), args)
+    with_program(workspace, &workspace.build(args.release, &PROGRAM)?, args)
 }
 
 /// The steps of the README in a fresh clone, which is removed afterwards.
 fn from_clone(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     let clone = workspace.target_folder()?.join("from-clone");
-    remove(&clone)?;
+    remove_folder(&clone)?;
     let mut git = workspace.command("git");
     git.args(["clone", "--quiet", "--no-hardlinks"]).arg(workspace.root()).arg(&clone);
     run_visibly(&mut git)?;
     let result = with_program(workspace, &clone.join("target/release"), args);
-    remove(&clone)?;
+    remove_folder(&clone)?;
     result
-}
-
-fn remove(folder: &Path) -> anyhow::Result<()> {
-    match fs::remove_dir_all(folder) {
-        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-            Err(error).with_context(|| format!("cannot remove {}", folder.display()))
-        }
-        _ => Ok(()),
-    }
 }
 
 /// All tests with the programs in a folder, or after a build.
@@ -88,10 +72,8 @@ fn remove(folder: &Path) -> anyhow::Result<()> {
 /// Those of [`run`]; [`NotPossible`] if tests failed while the machine held threads up.
 pub fn check(workspace: &Workspace, programs: Option<&Path>) -> anyhow::Result<()> {
     let witness = Witness::start();
-    let result = match programs {
-        Some(programs) => with_program(workspace, programs, &Args::default()),
-        None => run(workspace, &Args::default()),
-    };
+    let programs = workspace.programs(programs, false);
+    let result = programs.and_then(|programs| with_program(workspace, &programs, &Args::default()));
     let late = witness.end();
     match result {
         Err(error) if late > HELD_UP && error.downcast_ref::<NotPossible>().is_none() => {
@@ -134,29 +116,23 @@ impl Witness {
 }
 
 fn with_program(workspace: &Workspace, programs: &Path, args: &Args) -> anyhow::Result<()> {
-    let python = python_environment::environment(workspace, "panel-python", TESTS)?;
+    let python = environment(workspace, "panel-python", TESTS)?;
     let browser = browser()?;
     let artefacts = workspace.root().join(ARTEFACTS);
-    remove(&artefacts)?;
-    let cache = format!("cache_dir={}", workspace.target_folder()?.join("panel-cache").display());
+    remove_folder(&artefacts)?;
+    let (folder, shows_output) = match (args.long, args.from_clone) {
+        (true, _) => (LONG_TESTS, true),
+        (_, true) => (FROM_CLONE, true),
+        _ => (TESTS, false),
+    };
     let tests = |more: &[&str]| {
-        let mut tests = workspace.command(&python);
-        tests.args(["-m", "pytest", "--quiet", "-o", &cache]).args(more);
-        match (args.long, args.from_clone) {
-            (true, _) => tests.args(["--capture=no", LONG_TESTS]),
-            (_, true) => tests.args(["--capture=no", FROM_CLONE]),
-            _ => tests.arg(TESTS),
-        };
-        if let Some(filter) = &args.filter {
-            tests.args(["-k", filter]);
-        }
-        tests.env("PB3DP", programs.join("pb3dp")).env("PB3DP_CHROMIUM", &browser);
+        let mut tests = pytest(workspace, &python, folder, programs, args.filter.as_deref())?;
+        tests.args(shows_output.then_some("--capture=no")).args(more).env("PB3DP_CHROMIUM", &browser);
         // The programs are in its target/release.
         if let (true, Some(clone)) = (args.from_clone, programs.ancestors().nth(2)) {
             tests.env("PB3DP_CLONE", clone);
         }
-        tests.env("PB3DP_PANEL_ARTEFACTS", &artefacts).env("PYTHONDONTWRITEBYTECODE", "1");
-        run_visibly(&mut tests)
+        run_visibly(tests.env("PB3DP_PANEL_ARTEFACTS", &artefacts))
     };
     let first = tests(&[]);
     if first.is_ok() || args.long || args.from_clone {

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 
-use crate::python_environment;
+use crate::files::{copy, remove_folder};
+use crate::pytest::{environment, pip_install, pytest};
 use crate::workspace::{Workspace, run_visibly};
 
 const TESTS: &str = "tests/python";
@@ -30,27 +31,18 @@ pub struct Args {
     bench: bool,
 }
 
+/// All tests with the programs in a folder, or after a build.
+///
 /// # Errors
 /// If a test fails, or the machine lacks a requirement.
-pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
+pub fn run(workspace: &Workspace, args: &Args, programs: Option<&Path>) -> anyhow::Result<()> {
     // A test build, also beside a wheel of the release: the bits are the same in every profile.
-    let package = ["--locked", "--package", "pb3dp-orchestrator", "--bin", "pb3dp"];
-    run_visibly(workspace.cargo().arg("build").args(package))?;
-    let programs = workspace.target_folder()?.join("debug");
+    let programs = workspace.programs(programs, false)?;
     let python = if args.wheel { of_wheel(workspace)? } else { of_test_build(workspace)? };
     if args.bench {
         return run_visibly(workspace.command(&python.interpreter).args([&format!("{TESTS}/overhead.py")]));
     }
     test(workspace, &python, &programs, args.filter.as_deref())
-}
-
-/// All tests with the programs in a folder and the module of the test build, or after a build.
-///
-/// # Errors
-/// Those of [`run`].
-pub fn check(workspace: &Workspace, programs: Option<&Path>) -> anyhow::Result<()> {
-    let Some(programs) = programs else { return run(workspace, &Args::default()) };
-    test(workspace, &of_test_build(workspace)?, programs, None)
 }
 
 /// A Python that has the package.
@@ -62,14 +54,10 @@ struct Python {
 
 /// The package in a folder, with the module from the build of all tests: same features, same profile, so only the module is built.
 fn of_test_build(workspace: &Workspace) -> anyhow::Result<Python> {
-    let interpreter = python_environment::environment(workspace, "python", TESTS)?;
-    let mut build = workspace.cargo();
-    build.args(["build", "--workspace", "--locked", "--example", EXTENSION]);
-    run_visibly(&mut build)?;
-    let target = workspace.target_folder()?;
-    let path = target.join("python-package");
+    let interpreter = environment(workspace, "python", TESTS)?;
+    let programs = workspace.build(false, &["--workspace", "--example", EXTENSION])?;
+    let path = workspace.target_folder()?.join("python-package");
     let package = path.join("pb3dp");
-    std::fs::create_dir_all(&package).with_context(|| format!("{} cannot be created", package.display()))?;
     let sources = workspace.root().join(PACKAGE).join("python/pb3dp");
     let files = std::fs::read_dir(&sources).with_context(|| format!("{} cannot be read", sources.display()))?;
     for file in files {
@@ -78,12 +66,8 @@ fn of_test_build(workspace: &Workspace) -> anyhow::Result<Python> {
             copy(&file, &package.join(name))?;
         }
     }
-    copy(&target.join(format!("debug/examples/lib{EXTENSION}.so")), &package.join("_pb3dp.abi3.so"))?;
+    copy(&programs.join(format!("examples/lib{EXTENSION}.so")), &package.join("_pb3dp.abi3.so"))?;
     Ok(Python { interpreter, path: Some(path) })
-}
-
-fn copy(from: &Path, to: &Path) -> anyhow::Result<()> {
-    std::fs::copy(from, to).map(|_| ()).with_context(|| format!("{} cannot be copied", from.display()))
 }
 
 /// A new environment with a wheel of the release.
@@ -91,32 +75,22 @@ fn of_wheel(workspace: &Workspace) -> anyhow::Result<Python> {
     let target = workspace.target_folder()?;
     let (name, wheels) = ("python-wheel", target.join("python-wheels"));
     for folder in [target.join(name), wheels.clone()] {
-        if folder.exists() {
-            std::fs::remove_dir_all(&folder).with_context(|| format!("{} cannot be removed", folder.display()))?;
-        }
+        remove_folder(&folder)?;
     }
-    let interpreter = python_environment::environment(workspace, name, TESTS)?;
+    let interpreter = environment(workspace, name, TESTS)?;
     let mut build = workspace.command(&interpreter);
     build.args(["-m", "maturin", "build", "--release", "--locked", "--auditwheel", "skip", "--out"]).arg(&wheels);
     build.args(["--manifest-path", &format!("{PACKAGE}/Cargo.toml"), "--interpreter"]).arg(&interpreter);
     run_visibly(&mut build)?;
-    let mut install = workspace.command(&interpreter);
-    install.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps", "--find-links"]);
-    install.arg(&wheels).args(["--no-index", "pb3dp"]);
+    let mut install = pip_install(workspace, &interpreter);
+    install.args(["--no-deps", "--find-links"]).arg(&wheels).args(["--no-index", "pb3dp"]);
     run_visibly(&mut install)?;
     Ok(Python { interpreter, path: None })
 }
 
 fn test(workspace: &Workspace, python: &Python, programs: &Path, filter: Option<&str>) -> anyhow::Result<()> {
-    let target = workspace.target_folder()?;
-    let cache = format!("cache_dir={}", target.join("python-cache").display());
-    let mut tests = workspace.command(&python.interpreter);
-    tests.args(["-m", "pytest", "--quiet", "-o", &cache, TESTS]);
-    if let Some(filter) = filter {
-        tests.args(["-k", filter]);
-    }
-    tests.env("PB3DP", programs.join("pb3dp")).env("PYTHONDONTWRITEBYTECODE", "1");
-    tests.env("MYPY_CACHE_DIR", target.join("python-mypy"));
+    let mut tests = pytest(workspace, &python.interpreter, TESTS, programs, filter)?;
+    tests.env("MYPY_CACHE_DIR", workspace.target_folder()?.join("python-mypy"));
     if let Some(path) = &python.path {
         tests.env("PYTHONPATH", path).env("MYPYPATH", path);
     }

@@ -1,9 +1,9 @@
 //! `cargo xtask recordings`: recordings that other programs read, recordings of others, and pixels of cameras as others decode them.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use crate::not_possible::NotPossible;
-use crate::python_environment;
+use crate::pytest::{environment, pip_install, pytest};
 use crate::workspace::{Workspace, run_visibly};
 
 const TESTS: &str = "tests/recordings";
@@ -28,8 +28,8 @@ pub struct Args {
 /// # Errors
 /// If a test fails, or the machine lacks a requirement.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
-    let programs = build(workspace, args.release)?;
-    let python = python_environment::environment(workspace, "recordings-python", TESTS)?;
+    let programs = workspace.programs(None, args.release)?;
+    let python = environment(workspace, "recordings-python", TESTS)?;
     if args.rerun {
         install_rerun(workspace, &python)?;
     }
@@ -41,56 +41,25 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
 /// # Errors
 /// Those of [`run`].
 pub fn check(workspace: &Workspace, programs: Option<&Path>) -> anyhow::Result<()> {
-    let programs = programs.map_or_else(|| build(workspace, false), |programs| Ok(programs.to_path_buf()))?;
-    let python = python_environment::environment(workspace, "recordings-python", TESTS)?;
+    let programs = workspace.programs(programs, false)?;
+    let python = environment(workspace, "recordings-python", TESTS)?;
     let rerun = install_rerun(workspace, &python).map_err(|why| println!("NOT CHECKED: {why:#}")).is_ok();
     with_program(workspace, &programs, &python, &Args { rerun, ..Args::default() })
 }
 
-/// Builds the program; returns its folder.
-fn build(workspace: &Workspace, is_release: bool) -> anyhow::Result<PathBuf> {
-    let mut build = workspace.cargo();
-    build.args(["build", "--locked", "--package", "pb3dp-orchestrator", "--bin", "pb3dp"]);
-    if is_release {
-        build.arg("--release");
-    }
-    run_visibly(&mut build)?;
-    Ok(workspace.target_folder()?.join(if is_release { "release" } else { "debug" }))
-}
-
 fn install_rerun(workspace: &Workspace, python: &Path) -> anyhow::Result<()> {
-    let mut install = workspace.command(python);
-    install.args(["-m", "pip", "install", "--quiet", "--requirement", &format!("{TESTS}/requirements-rerun.txt")]);
-    run_visibly(&mut install).map_err(|error| {
+    let requirements = format!("{TESTS}/requirements-rerun.txt");
+    run_visibly(pip_install(workspace, python).args(["--requirement", &requirements])).map_err(|error| {
         let why = format!("the package of Rerun cannot be installed: {error:#}; try again with a network");
         NotPossible::because(why)
     })
 }
 
 fn with_program(workspace: &Workspace, programs: &Path, python: &Path, args: &Args) -> anyhow::Result<()> {
-    let cache = format!("cache_dir={}", workspace.target_folder()?.join("recordings-cache").display());
-    let pixels = emulated_pair(workspace, args.release)?;
-    let mut tests = workspace.command(python);
-    tests.args(["-m", "pytest", "--quiet", "-o", &cache, TESTS]);
-    if let Some(filter) = &args.filter {
-        tests.args(["-k", filter]);
-    }
-    tests.env("PB3DP", programs.join("pb3dp")).env("PB3DP_EMULATED_PAIR", pixels).env("PYTHONDONTWRITEBYTECODE", "1");
-    if args.rerun {
-        tests.env("PB3DP_RERUN", "1");
-    }
+    // The program that gives a pair of emulated cameras.
+    let pair = ["--package", "pb3dp-camera-v4l2", "--example", "emulated_pair"];
+    let pixels = workspace.build(args.release, &pair)?.join("examples/emulated_pair");
+    let mut tests = pytest(workspace, python, TESTS, programs, args.filter.as_deref())?;
+    tests.env("PB3DP_EMULATED_PAIR", pixels).envs(args.rerun.then_some(("PB3DP_RERUN", "1")));
     run_visibly(&mut tests)
-}
-
-/// The program that gives a pair of emulated cameras.
-fn emulated_pair(workspace: &Workspace, is_release: bool) -> anyhow::Result<PathBuf> {
-    const EXAMPLE: &str = "emulated_pair";
-    let mut build = workspace.cargo();
-    build.args(["build", "--locked", "--package", "pb3dp-camera-v4l2", "--example", EXAMPLE]);
-    if is_release {
-        build.arg("--release");
-    }
-    run_visibly(&mut build)?;
-    let profile = if is_release { "release" } else { "debug" };
-    Ok(workspace.target_folder()?.join(profile).join("examples").join(EXAMPLE))
 }

@@ -4,6 +4,7 @@ use std::fs;
 
 use anyhow::{Context, bail};
 
+use crate::files::{read, write};
 use crate::workspace::{Workspace, run_visibly};
 
 /// Generates the reference pages in docs/reference from the source.
@@ -25,18 +26,17 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     let build = ["run", "--quiet", "--locked", "--package", "pb3dp-orchestrator", "--bin", "pb3dp", "--", "generate"];
     run_visibly(workspace.cargo().args(build).arg(&made))?;
     let pages = workspace.root().join("docs/reference");
-    fs::create_dir_all(&pages).context("cannot create docs/reference")?;
     for entry in fs::read_dir(made.join("reference")).context("the program wrote no pages")? {
         let from = entry?.path();
         let to = pages.join(from.file_name().context("a page has no name")?);
-        let text = fs::read_to_string(&from).with_context(|| format!("cannot read {}", from.display()))?;
-        if fs::read_to_string(&to).is_ok_and(|present| present == text) {
+        let text = read(&from)?;
+        if read(&to).is_ok_and(|present| present == text) {
             continue;
         }
         if args.check {
             bail!("{}: differs from the source; run `cargo xtask reference`", to.display());
         }
-        fs::write(&to, text).with_context(|| format!("cannot write {}", to.display()))?;
+        write(&to, &text)?;
         println!("wrote {}", to.display());
     }
     Ok(())

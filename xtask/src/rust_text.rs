@@ -1,17 +1,6 @@
-//! Minimal analysis of Rust source text for the checks: code without comments and literals, functions, paths.
+//! Minimal analysis of Rust source text for the checks: code without comments and literals, paths.
 //!
 //! It is not a parser. The checks ignore code that it cannot see (code from macros).
-
-/// A function found in source text.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct FunctionSpan {
-    /// Its name.
-    pub name: String,
-    /// First line, from 1: the line with `fn`.
-    pub line: usize,
-    /// Number of lines up to the closing brace.
-    pub lines: usize,
-}
 
 /// The source with every comment, string and character literal replaced by spaces; line breaks remain.
 pub fn code_only(source: &str) -> String {
@@ -117,23 +106,6 @@ pub fn word_positions<'a>(code: &'a str, word: &'a str) -> impl Iterator<Item = 
 /// Line, from 1, of a byte position.
 pub fn line_at(text: &str, position: usize) -> usize {
     text[..position].matches('\n').count() + 1
-}
-
-/// All functions with a body in the output of [`code_only`], including nested ones.
-pub fn functions(code: &str) -> Vec<FunctionSpan> {
-    word_positions(code, "fn").filter_map(|at| function_at(code, at)).collect()
-}
-
-fn function_at(code: &str, at: usize) -> Option<FunctionSpan> {
-    let rest = code[at + 2..].trim_start();
-    let name: String = rest.chars().take_while(|&c| is_word(c)).collect();
-    if name.is_empty() {
-        return None;
-    }
-    let open = body_start(&code[at..])? + at;
-    let close = matching_brace(code, open)?;
-    let line = line_at(code, at);
-    Some(FunctionSpan { name, line, lines: line_at(code, close) - line + 1 })
 }
 
 /// Offset of the `{` that opens the body, `None` for a declaration without one.
@@ -249,16 +221,6 @@ mod tests {
             assert!(!code.contains(gone), "{gone} in {code}");
         }
         assert!(code.contains("&'a str") && code.contains("f()"));
-    }
-
-    #[test]
-    fn functions_are_measured_from_fn_to_brace() {
-        let code = code_only(
-            "fn one() {}\npub(crate) fn two(\n    a: [u8; 3],\n) -> u8 {\n    fn inner() { }\n    a[0]\n}\ntrait T { fn none(&self); }\n",
-        );
-        let spans = functions(&code);
-        let found: Vec<_> = spans.iter().map(|f| (f.name.as_str(), f.line, f.lines)).collect();
-        assert_eq!(found, [("one", 1, 1), ("two", 2, 6), ("inner", 5, 1)]);
     }
 
     #[test]

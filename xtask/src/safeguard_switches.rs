@@ -18,17 +18,18 @@ pub(crate) fn is_off(name: &str) -> bool {
 }
 ";
 
-/// The command that builds and runs a program with the switches, without its package and arguments.
+/// The command that builds and runs an example with the switches.
 ///
 /// # Errors
 /// If the copy cannot be written, or a switch does not fit the source.
-pub fn run(workspace: &Workspace) -> anyhow::Result<Command> {
+pub fn example(workspace: &Workspace, package: &str, example: &str) -> anyhow::Result<Command> {
     let scratch = Scratch::new(workspace, "safeguards")?;
     for (file, source) in with_switches(workspace.root())? {
         std::fs::write(scratch.tree.join(&file), source).with_context(|| format!("cannot write {file}"))?;
     }
     let mut command = workspace.cargo();
-    command.arg("run").current_dir(&scratch.tree).env("CARGO_TARGET_DIR", &scratch.target);
+    command.args(["run", "--locked", "--package", package, "--example", example, "--"]);
+    command.current_dir(&scratch.tree).env("CARGO_TARGET_DIR", &scratch.target);
     Ok(command)
 }
 

@@ -1,7 +1,7 @@
 //! `cargo xtask soak`: two emulated arms on pseudo-terminals for minutes, with random faults.
 
 use crate::bench::origin;
-use crate::workspace::{Workspace, run_visibly};
+use crate::workspace::{PROGRAM, Workspace, run_visibly};
 
 const PAGE: &str = "docs/benchmarks/arm.md";
 
@@ -43,8 +43,7 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     if let Some(runs) = args.kills {
         return kills(workspace, runs, &seed);
     }
-    let mut command = workspace.cargo();
-    command.args(["run", "--release", "--locked", "--package", "system-tests", "--example", "soak", "--"]);
+    let mut command = workspace.example("system-tests", "soak");
     command.args(["--minutes", &minutes, "--seed", &seed]);
     if args.losses_only {
         command.args(["--what", "losses"]);
@@ -57,11 +56,8 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
 
 /// Builds the program and runs the example `kills` with it.
 fn kills(workspace: &Workspace, runs: u32, seed: &str) -> anyhow::Result<()> {
-    let mut build = workspace.cargo();
-    run_visibly(build.args(["build", "--release", "--locked", "--package", "pb3dp-orchestrator"]))?;
-    let program = workspace.target_folder()?.join("release/pb3dp");
-    let mut command = workspace.cargo();
-    command.args(["run", "--release", "--locked", "--package", "system-tests", "--example", "kills", "--"]);
+    let program = workspace.build(true, &PROGRAM)?.join("pb3dp");
+    let mut command = workspace.example("system-tests", "kills");
     command.args(["--runs", &runs.to_string(), "--seed", seed, "--program"]).arg(program);
     run_visibly(&mut command)
 }

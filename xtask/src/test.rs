@@ -6,7 +6,6 @@ mod prove_red;
 mod report;
 mod runner;
 mod scheduling;
-mod timings;
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -18,10 +17,11 @@ use crate::workspace::{Workspace, run_visibly};
 pub use build::Built;
 pub use report::Report;
 use runner::Runner;
+use scheduling::{LowSession, Precedence};
 
 /// Runs all tests: unit tests, integration tests, examples in the documentation, whole-system tests.
 ///
-/// Test programs run while others build. Tests whose threads must run in real time (`real_time::` in their names) run with
+/// Tests whose threads must run in real time (`real_time::` in their names) run with
 /// priority over all others if the system grants it, otherwise after all others. Needs no hardware, no network (once the
 /// dependencies are installed) and no further tool. Ends with the tests that this machine cannot check
 /// (`NOT CHECKED: name: reason`) and the line `N passed, N failed, N skipped`. For one crate, or one test by a part of its name:
@@ -36,7 +36,7 @@ pub struct Args {
     /// Also the long sweeps: 100 simulated rigs, five minutes there and back, 60 000 random byte strings.
     #[arg(long)]
     all: bool,
-    /// Print the 20 slowest test programs with build and run time.
+    /// Print the 20 slowest test programs; cargo writes the times of the build to target/cargo-timings.
     #[arg(long)]
     timings: bool,
     /// Run the unit tests of the crates with vector kernels for 64-bit ARM, in an emulator.
@@ -63,13 +63,13 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
         return prove_red::run(workspace, args.filter.as_deref());
     }
     if args.no_run {
-        return build::run(workspace, &[], &Selection::Everything, |_| {}).map(|_| ());
+        return build::run(workspace, &Selection::Everything).map(|_| ());
     }
     let long = if args.all { Selection::Everything } else { Selection::Of(BTreeSet::new()) };
     let plan = Plan { packages: Selection::Everything, long, filter: args.filter.clone() };
     let tested = all(workspace, &plan, |_| {})?;
     if args.timings {
-        print!("{}", tested.timings());
+        print!("{}", tested.report.slowest());
     }
     tested.report.conclude()
 }
@@ -121,28 +121,22 @@ pub struct Tested {
     pub report: Report,
 }
 
-impl Tested {
-    /// Prints the slowest test programs, build and run time separately.
-    pub fn timings(&self) -> String {
-        timings::table(&self.built.units(), &self.report)
-    }
-}
-
-/// Builds and runs everything. `after_build` is called while the last tests run, with the prefix of a command that may run beside them.
+/// Builds and runs everything. `after_build` gets the prefix of a command that may run beside the tests.
 /// Failed tests are no error here: [`Report::conclude`] reports them.
 ///
 /// # Errors
 /// If something does not build, or no program can be started.
-pub fn all(workspace: &Workspace, plan: &Plan, after_build: impl FnOnce(&[&str]) + Send) -> anyhow::Result<Tested> {
+pub fn all(workspace: &Workspace, plan: &Plan, after_build: impl FnOnce(&[&str])) -> anyhow::Result<Tested> {
     let begin = Instant::now();
-    let (runner, mut report) = Runner::new(workspace, plan)?;
-    let build = |runner: &Runner| {
-        let before = runner.precedence.of_build();
-        let built = build::run(workspace, before, &plan.packages, |program| runner.ready(program))?;
-        after_build(before);
-        Ok(built)
-    };
-    let built = runner.run(build, &mut report)?;
+    let built = build::run(workspace, &plan.packages)?;
+    println!("built in {:.0} s; each test program gets a line when it ends", begin.elapsed().as_secs_f64());
+    let precedence = Precedence::find();
+    after_build(precedence.of_build());
+    let mut report = Report::default();
+    let runner = Runner::new(workspace, plan, precedence)?;
+    let low = LowSession::enter();
+    runner.run(&built.tests, &mut report)?;
+    drop(low);
     runner::doctests(workspace, plan)?.into_iter().for_each(|run| report.add(run));
     if report.is_empty() {
         bail!("no test ran: check the filter");

@@ -3,12 +3,15 @@
 use std::ffi::{OsStr, OsString};
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 use anyhow::{Context, bail};
 
 /// Folders without files of the project.
 const GENERATED: [&str; 3] = [".git", "target", "out"];
+
+/// The arguments of cargo that name the program of the product.
+pub const PROGRAM: [&str; 4] = ["--package", "pb3dp-orchestrator", "--bin", "pb3dp"];
 
 /// The workspace of this program.
 pub struct Workspace {
@@ -111,15 +114,8 @@ impl Workspace {
     /// # Errors
     /// If cargo fails: the lock file is out of date, or a package cannot be fetched.
     pub fn metadata(&self) -> anyhow::Result<serde_json::Value> {
-        let output = self
-            .cargo()
-            .args(["metadata", "--format-version", "1", "--locked"])
-            .output()
-            .context("cannot run `cargo metadata`")?;
-        if !output.status.success() {
-            bail!("`cargo metadata --locked` failed:\n{}", String::from_utf8_lossy(&output.stderr).trim_end());
-        }
-        serde_json::from_slice(&output.stdout).context("`cargo metadata` did not print JSON")
+        let output = output_of(self.cargo().args(["metadata", "--format-version", "1", "--locked"]))?;
+        serde_json::from_str(&output).context("`cargo metadata` did not print JSON")
     }
 
     /// Cargo's target folder.
@@ -132,11 +128,34 @@ impl Workspace {
         Ok(PathBuf::from(folder))
     }
 
+    /// Builds programs, with optimisation or as for tests; returns their folder.
+    ///
+    /// # Errors
+    /// If they do not build.
+    pub fn build(&self, is_release: bool, programs: &[&str]) -> anyhow::Result<PathBuf> {
+        let profile = is_release.then_some("--release");
+        run_visibly(self.cargo().args(["build", "--locked"]).args(profile).args(programs))?;
+        Ok(self.target_folder()?.join(if is_release { "release" } else { "debug" }))
+    }
+
+    /// The folder of the program `pb3dp`, which is built unless the folder is given.
+    ///
+    /// # Errors
+    /// If it does not build.
+    pub fn programs(&self, given: Option<&Path>, is_release: bool) -> anyhow::Result<PathBuf> {
+        given.map_or_else(|| self.build(is_release, &PROGRAM), |folder| Ok(folder.to_path_buf()))
+    }
+
+    /// The command that builds and runs an example with optimisation; its options follow.
+    pub fn example(&self, package: &str, example: &str) -> Command {
+        let mut command = self.cargo();
+        command.args(["run", "--release", "--locked", "--package", package, "--example", example, "--"]);
+        command
+    }
+
     /// Trimmed standard output of a program, `None` if it is missing or fails.
     pub fn output_of(&self, program: &str, args: &[&str]) -> Option<String> {
-        let output = self.command(program).args(args).output().ok()?;
-        let text = String::from_utf8(output.stdout).ok()?;
-        output.status.success().then(|| text.trim().to_owned())
+        output_of(self.command(program).args(args)).ok().map(|text| text.trim().to_owned())
     }
 
     fn files_known_to_git(&self) -> Option<Vec<String>> {
@@ -179,6 +198,18 @@ pub fn run_visibly(command: &mut Command) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Standard output of a command.
+///
+/// # Errors
+/// If it does not start, prints no text, or fails; then with its standard error.
+pub fn output_of(command: &mut Command) -> anyhow::Result<String> {
+    let output = command.stdin(Stdio::null()).output().with_context(|| format!("cannot start `{}`", shown(command)))?;
+    if !output.status.success() {
+        bail!("`{}` failed: {}", shown(command), String::from_utf8_lossy(&output.stderr).trim_end());
+    }
+    String::from_utf8(output.stdout).with_context(|| format!("`{}` printed no text", shown(command)))
+}
+
 /// The command as typed in a shell, with its environment variables.
 fn shown(command: &Command) -> String {
     let quoted = |text: &OsStr| {
@@ -198,8 +229,6 @@ fn is_of_our_package(name: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use std::process::Stdio;
-
     use super::*;
 
     fn here() -> Workspace {

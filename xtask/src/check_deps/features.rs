@@ -2,10 +2,10 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use anyhow::{Context, bail};
+use anyhow::Context;
 
 use crate::violation::Violation;
-use crate::workspace::Workspace;
+use crate::workspace::{Workspace, output_of};
 
 /// Where features are added that a single package lacks.
 const FILE: &str = "crates/third-party/Cargo.toml";
@@ -46,11 +46,7 @@ pub fn check(workspace: &Workspace) -> anyhow::Result<Vec<Violation>> {
 
 fn tree(workspace: &Workspace, edges: &str, of: &[&str]) -> anyhow::Result<String> {
     let format = ["tree", "--locked", "--prefix", "none", "--format", "{p}|{f}", "--edges", edges];
-    let output = workspace.cargo().args(format).args(of).output().context("cannot run `cargo tree`")?;
-    if !output.status.success() {
-        bail!("`cargo tree {}` failed:\n{}", of.join(" "), String::from_utf8_lossy(&output.stderr).trim_end());
-    }
-    String::from_utf8(output.stdout).context("`cargo tree` did not print text")
+    output_of(workspace.cargo().args(format).args(of))
 }
 
 /// Reads lines such as `log v0.4.35|alloc,std (*)`.

@@ -1,13 +1,11 @@
 //! Dependencies between our packages, and on serde, from `cargo metadata`.
 
-use anyhow::Context;
-use serde_json::Value;
-
+use crate::packages::Package;
 use crate::violation::Violation;
 
-/// One row per package: which of our packages it may depend on. Lowest layer first; a package may depend only on packages
-/// above its own row. Names without the prefix `pb3dp-`.
-const ALLOWED: [(&str, &[&str]); 43] = [
+/// One row per package: the packages directly below it. It may depend on them and on all that is below them. Lowest layer first;
+/// a row names only packages above its own row. Names without the prefix `pb3dp-`.
+const BELOW: &[(&str, &[&str])] = &[
     ("allocation-count", &[]),
     ("test-support", &[]),
     ("computing", &[]),
@@ -16,280 +14,63 @@ const ALLOWED: [(&str, &[&str]); 43] = [
     ("geometry", &["third-party"]),
     ("kinematics", &["geometry"]),
     ("estimation-core", &["message-codes", "computing", "geometry"]),
-    ("estimation-test-support", &["geometry", "estimation-core", "test-support"]),
-    ("estimation-direct", &["geometry", "estimation-core"]),
-    ("estimation-track", &["geometry", "estimation-core", "estimation-direct"]),
-    ("estimation-published", &["geometry", "estimation-core"]),
-    ("estimation", &["geometry", "estimation-core", "estimation-direct", "estimation-track", "estimation-published"]),
+    ("estimation-test-support", &["estimation-core", "test-support"]),
+    ("estimation-direct", &["estimation-core"]),
+    ("estimation-track", &["estimation-direct"]),
+    ("estimation-published", &["estimation-core"]),
+    ("estimation", &["estimation-track", "estimation-published"]),
     ("camera-settings", &["geometry"]),
-    ("record", &["message-codes", "geometry", "camera-settings"]),
-    ("servo", &["message-codes", "geometry", "kinematics"]),
-    ("sim", &["message-codes", "computing", "geometry", "kinematics"]),
-    ("hal-api", &["message-codes", "geometry", "kinematics"]),
-    ("hal-clock", &["geometry", "hal-api"]),
-    ("hal-middleware", &["geometry", "kinematics", "hal-api"]),
-    ("hal-conformance", &["geometry", "kinematics", "hal-api"]),
-    ("camera-pixels", &["geometry", "camera-settings"]),
-    ("bag", &["message-codes", "geometry", "record", "camera-pixels", "camera-settings"]),
-    ("camera-recordings", &["geometry", "hal-api", "record", "bag", "camera-settings"]),
-    ("camera-replay", &["geometry", "hal-api", "record", "camera-recordings"]),
-    ("camera-sim", &["geometry", "kinematics", "hal-api", "sim"]),
-    ("camera-v4l2", &["geometry", "hal-api", "camera-settings", "camera-pixels"]),
+    ("record", &["message-codes", "camera-settings"]),
+    ("servo", &["message-codes", "kinematics"]),
+    ("sim", &["message-codes", "computing", "kinematics"]),
+    ("hal-api", &["message-codes", "kinematics"]),
+    ("hal-clock", &["hal-api"]),
+    ("hal-middleware", &["hal-api"]),
+    ("hal-conformance", &["hal-api"]),
+    ("camera-pixels", &["camera-settings"]),
+    ("bag", &["record", "camera-pixels"]),
+    ("camera-recordings", &["hal-api", "bag"]),
+    ("camera-replay", &["camera-recordings"]),
+    ("camera-sim", &["hal-api", "sim"]),
+    ("camera-v4l2", &["hal-api", "camera-pixels"]),
     ("hal-platform", &["geometry"]),
-    ("arm-pa10-protocol", &["geometry", "kinematics"]),
-    ("arm-pa10", &["message-codes", "geometry", "kinematics", "hal-api", "hal-platform", "arm-pa10-protocol"]),
-    ("arm-pa10-gateway", &["message-codes", "geometry", "kinematics", "hal-platform", "arm-pa10-protocol", "arm-pa10"]),
-    (
-        "arm-pa10-emulation",
-        &[
-            "geometry",
-            "kinematics",
-            "hal-api",
-            "hal-platform",
-            "sim",
-            "arm-pa10-protocol",
-            "arm-pa10",
-            "arm-pa10-gateway",
-        ],
-    ),
-    (
-        "arm-pa10-test-support",
-        &[
-            "geometry",
-            "kinematics",
-            "hal-api",
-            "hal-clock",
-            "hal-platform",
-            "sim",
-            "arm-pa10-protocol",
-            "arm-pa10",
-            "arm-pa10-gateway",
-            "arm-pa10-emulation",
-            "test-support",
-        ],
-    ),
-    (
-        "benchmarks",
-        &[
-            "geometry",
-            "estimation-core",
-            "estimation-direct",
-            "estimation-track",
-            "estimation-published",
-            "estimation",
-            "record",
-            "sim",
-            "hal-platform",
-        ],
-    ),
-    (
-        "setup",
-        &[
-            "message-codes",
-            "geometry",
-            "kinematics",
-            "estimation-core",
-            "estimation-direct",
-            "estimation-track",
-            "estimation-published",
-            "estimation",
-            "record",
-            "servo",
-            "sim",
-            "hal-middleware",
-            "hal-platform",
-            // Settings of cameras and arms as text: no backend.
-            "camera-settings",
-            "arm-pa10-protocol",
-        ],
-    ),
-    ("calibration", &["geometry", "record", "bag", "camera-recordings", "setup"]),
-    (
-        "cell",
-        &[
-            "message-codes",
-            "geometry",
-            "kinematics",
-            "estimation-core",
-            "estimation",
-            "record",
-            "bag",
-            "servo",
-            "sim",
-            "hal-api",
-            "hal-clock",
-            "hal-middleware",
-            "hal-platform",
-            "setup",
-        ],
-    ),
-    (
-        "recording",
-        &[
-            "geometry",
-            "kinematics",
-            "estimation-core",
-            "estimation",
-            "record",
-            "bag",
-            "servo",
-            "sim",
-            "hal-api",
-            "hal-clock",
-            "hal-middleware",
-            "setup",
-            "cell",
-        ],
-    ),
-    (
-        "panel",
-        &[
-            "message-codes",
-            "geometry",
-            "kinematics",
-            "estimation-core",
-            "estimation",
-            "servo",
-            "hal-platform",
-            "hal-api",
-            "setup",
-            "cell",
-        ],
-    ),
-    (
-        "wiring",
-        &[
-            "message-codes",
-            "geometry",
-            "kinematics",
-            "estimation",
-            "record",
-            "sim",
-            "hal-api",
-            "hal-clock",
-            "hal-middleware",
-            "hal-platform",
-            "camera-replay",
-            "camera-sim",
-            "camera-settings",
-            "camera-v4l2",
-            "arm-pa10-protocol",
-            "arm-pa10",
-            "arm-pa10-gateway",
-            "arm-pa10-emulation",
-            "setup",
-            "cell",
-            "panel",
-        ],
-    ),
-    (
-        "commissioning",
-        &[
-            "geometry",
-            "kinematics",
-            "record",
-            "servo",
-            "sim",
-            "hal-api",
-            "hal-clock",
-            "hal-middleware",
-            "hal-platform",
-            "arm-pa10-protocol",
-            "arm-pa10",
-            "arm-pa10-gateway",
-            "arm-pa10-emulation",
-            "setup",
-            "cell",
-            "recording",
-            "wiring",
-        ],
-    ),
-    (
-        "orchestrator",
-        &[
-            "message-codes",
-            "setup",
-            "cell",
-            "recording",
-            "panel",
-            "wiring",
-            "commissioning",
-            "calibration",
-            "geometry",
-            "kinematics",
-            "estimation-core",
-            "estimation-direct",
-            "estimation-track",
-            "estimation-published",
-            "estimation",
-            "record",
-            "bag",
-            "servo",
-            "sim",
-            "hal-api",
-            "hal-clock",
-            "hal-middleware",
-            "camera-replay",
-            "camera-sim",
-            "camera-settings",
-            "camera-v4l2",
-            "hal-platform",
-            "arm-pa10-protocol",
-            "arm-pa10",
-            "arm-pa10-gateway",
-            "arm-pa10-emulation",
-        ],
-    ),
-    (
-        "python",
-        &[
-            "geometry",
-            "estimation-core",
-            "estimation",
-            "record",
-            "recording",
-            "hal-api",
-            "hal-platform",
-            "setup",
-            "cell",
-            "wiring",
-        ],
-    ),
+    ("arm-pa10-protocol", &["kinematics"]),
+    ("arm-pa10", &["hal-api", "hal-platform", "arm-pa10-protocol"]),
+    ("arm-pa10-gateway", &["arm-pa10"]),
+    ("arm-pa10-emulation", &["sim", "arm-pa10-gateway"]),
+    ("arm-pa10-test-support", &["hal-clock", "arm-pa10-emulation", "test-support"]),
+    ("benchmarks", &["estimation", "record", "sim", "hal-platform"]),
+    // Settings of cameras and arms as text: no backend.
+    ("setup", &["estimation", "record", "servo", "sim", "hal-middleware", "hal-platform", "arm-pa10-protocol"]),
+    ("calibration", &["camera-recordings", "setup"]),
+    ("cell", &["bag", "hal-clock", "setup"]),
+    ("recording", &["cell"]),
+    ("panel", &["cell"]),
+    ("wiring", &["camera-replay", "camera-sim", "camera-v4l2", "arm-pa10-emulation", "panel"]),
+    ("commissioning", &["recording", "wiring"]),
+    ("orchestrator", &["commissioning", "calibration"]),
+    ("python", &["recording", "wiring"]),
 ];
 
 /// Additional packages for tests of any package.
-const ALLOWED_IN_ALL_TESTS: [&str; 3] = ["allocation-count", "computing", "test-support"];
+const BELOW_ALL_TESTS: [&str; 3] = ["allocation-count", "computing", "test-support"];
 
 /// Additional packages for tests of a package in `hal/`: the conformance suite of all backends, and a clock to run it.
-const ALLOWED_IN_HAL_TESTS: [&str; 2] = ["hal-conformance", "hal-clock"];
+const BELOW_HAL_TESTS: [&str; 2] = ["hal-conformance", "hal-clock"];
 
-/// Additional packages for tests of one package: a wrapper is tested around the arm without hardware, and a calibration on
-/// simulated rigs, whose arms have joints.
-const ALLOWED_IN_TESTS_OF: [(&str, &[&str]); 13] = [
-    ("cell", &["arm-pa10-emulation"]),
-    ("estimation-core", &["estimation-test-support"]),
-    ("estimation-direct", &["estimation-test-support"]),
-    ("estimation-track", &["estimation-test-support"]),
-    ("estimation-published", &["estimation-test-support"]),
-    ("estimation", &["estimation-test-support"]),
-    (
-        "hal-middleware",
-        &[
-            "arm-pa10",
-            "arm-pa10-protocol",
-            "arm-pa10-gateway",
-            "arm-pa10-emulation",
-            "arm-pa10-test-support",
-            "hal-platform",
-            "sim",
-        ],
-    ),
-    ("arm-pa10", &["arm-pa10-gateway", "arm-pa10-emulation", "arm-pa10-test-support", "sim"]),
-    ("arm-pa10-gateway", &["arm-pa10-test-support"]),
-    ("arm-pa10-emulation", &["arm-pa10-test-support"]),
-    ("orchestrator", &["arm-pa10-test-support", "arm-pa10-protocol", "arm-pa10-gateway", "arm-pa10-emulation", "sim"]),
-    ("calibration", &["kinematics", "sim"]),
-    ("panel", &["hal-clock"]),
+/// Additional packages for tests of one package, with all that is below: a wrapper is tested around the arm without hardware.
+const BELOW_TESTS_OF: &[(&str, &str)] = &[
+    ("cell", "arm-pa10-emulation"),
+    ("estimation-core", "estimation-test-support"),
+    ("estimation-direct", "estimation-test-support"),
+    ("estimation-track", "estimation-test-support"),
+    ("estimation-published", "estimation-test-support"),
+    ("estimation", "estimation-test-support"),
+    ("hal-middleware", "arm-pa10-test-support"),
+    ("arm-pa10", "arm-pa10-test-support"),
+    ("arm-pa10-gateway", "arm-pa10-test-support"),
+    ("arm-pa10-emulation", "arm-pa10-test-support"),
+    ("orchestrator", "arm-pa10-test-support"),
 ];
 
 /// Packages outside the table: the whole-system tests may depend on all, the project commands on none.
@@ -302,101 +83,72 @@ const NO_CODE: &str = "third-party";
 /// Its examples measure whole runs.
 const MEASURES_ALL: &str = "benchmarks";
 
-/// Packages that may serialise and deserialise structures.
-const SERDE_USERS: [&str; 10] =
+/// Packages that may read and write files, and those of them that may derive the traits of serde: elsewhere the structure of a file
+/// must not depend on that of a type.
+const FORMAT_USERS: [&str; 10] =
     ["setup", "cell", "panel", "commissioning", "orchestrator", "python", "record", "bag", "benchmarks", "calibration"];
-const SERDE_CRATES: [&str; 6] = ["serde", "serde_json", "serde-saphyr", "toml", "figment", "serde_derive"];
+const FORMATS: [&str; 4] = ["serde_json", "serde-saphyr", "toml", "figment"];
+const SERDE_USERS: [&str; 6] = ["setup", "cell", "panel", "commissioning", "orchestrator", "record"];
+const SERDE: [&str; 2] = ["serde", "serde_derive"];
 
-/// One of our packages and its dependencies.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Package {
-    /// Name without the prefix `pb3dp-`.
-    pub name: String,
-    /// Whether it is in `hal/`.
-    pub in_hal: bool,
-    /// Normal and build dependencies, ours without the prefix.
-    pub dependencies: Vec<String>,
-    /// Dependencies of its tests, ours without the prefix.
-    pub test_dependencies: Vec<String>,
+/// The name in the tables.
+fn short(name: &str) -> &str {
+    name.strip_prefix("pb3dp-").unwrap_or(name)
 }
 
-fn short(name: &str) -> String {
-    name.strip_prefix("pb3dp-").unwrap_or(name).to_owned()
-}
-
-/// Third-party packages in the tree, which the rules do not cover.
-const VENDORED: &str = "/hal/vendor/";
-
-/// Members of the workspace from the output of `cargo metadata`.
-///
-/// # Errors
-/// If the output lacks a required key.
-pub fn packages(metadata: &Value) -> anyhow::Result<Vec<Package>> {
-    let all = metadata["packages"].as_array().context("`packages` is missing from cargo metadata")?;
-    let is_vendored = |package: &Value| package["manifest_path"].as_str().is_some_and(|path| path.contains(VENDORED));
-    all.iter().filter(|package| package["source"].is_null() && !is_vendored(package)).map(package).collect()
-}
-
-fn package(package: &Value) -> anyhow::Result<Package> {
-    let name = package["name"].as_str().context("a package has no name")?;
-    let manifest = package["manifest_path"].as_str().context("a package has no manifest")?.replace('\\', "/");
-    let mut found = Package { name: short(name), in_hal: manifest.contains("/hal/"), ..Package::default() };
-    for dependency in package["dependencies"].as_array().context("a package has no dependencies")? {
-        let name = short(dependency["name"].as_str().context("a dependency has no name")?);
-        let for_tests = dependency["kind"].as_str() == Some("dev");
-        if for_tests { found.test_dependencies.push(name) } else { found.dependencies.push(name) }
-    }
-    Ok(found)
-}
-
-/// Checks every package against the tables.
+/// Checks every package against the tables; packages of others in the tree have no rules.
 pub fn check(packages: &[Package]) -> Vec<Violation> {
-    let ours: Vec<&str> = packages.iter().map(|package| package.name.as_str()).collect();
-    packages.iter().flat_map(|package| check_package(package, &ours)).collect()
+    let ours = packages.iter().filter(|package| !package.folder.starts_with("hal/vendor/"));
+    let names: Vec<&str> = ours.clone().map(|package| short(&package.name)).collect();
+    ours.flat_map(|package| check_package(package, &names)).collect()
+}
+
+/// Whether a package is this one or below it.
+fn is_below(package: &str, name: &str) -> bool {
+    let row = BELOW.iter().find(|(of, _)| *of == name);
+    package == name || row.is_some_and(|(_, below)| below.iter().any(|next| is_below(package, next)))
 }
 
 fn check_package(package: &Package, ours: &[&str]) -> Vec<Violation> {
-    let place = format!("package {}", package.name);
-    if package.name == SEES_ALL {
+    let (own, place) = (short(&package.name), format!("package {}", short(&package.name)));
+    let [dependencies, test_dependencies] =
+        [&package.dependencies, &package.test_dependencies].map(|list| list.iter().map(|name| short(name)));
+    if own == SEES_ALL {
         return Vec::new();
     }
-    let listed = ALLOWED.iter().find(|(name, _)| *name == package.name).map(|(_, allowed)| *allowed);
-    let allowed: &[&str] = match listed {
-        Some(allowed) => allowed,
-        None if package.name == SEES_NOTHING => &[],
-        None => {
-            let message = "is not in the table of xtask/src/check_deps/graph.rs: add a row, in its layer";
-            return vec![Violation::of(&place, "unknown-package", message)];
-        }
-    };
+    if own != SEES_NOTHING && !BELOW.iter().any(|(name, _)| *name == own) {
+        let message = "is not in the table of xtask/src/check_deps/graph.rs: add a row, in its layer";
+        return vec![Violation::of(&place, "unknown-package", message)];
+    }
     let mut violations = Vec::new();
-    let is_ours = |name: &&String| ours.contains(&name.as_str());
-    for name in package.dependencies.iter().filter(is_ours).filter(|name| !allowed.contains(&name.as_str())) {
+    let is_wrong = |name: &&str| ours.contains(name) && !is_below(name, own);
+    for name in dependencies.clone().filter(is_wrong) {
         let message = format!("must not depend on {name}: see the layers in ARCHITECTURE.md");
         violations.push(Violation::of(&place, "direction", message));
     }
-    for name in package.test_dependencies.iter().filter(is_ours) {
-        if !allowed.contains(&name.as_str()) && !is_allowed_in_tests(package, name) {
-            let message = format!("its tests must not depend on {name}: move them to the folder tests/");
-            violations.push(Violation::of(&place, "direction", message));
-        }
+    for name in test_dependencies.filter(is_wrong).filter(|name| !is_below_tests(package, name)) {
+        let message = format!("its tests must not depend on {name}: move them to the folder tests/");
+        violations.push(Violation::of(&place, "direction", message));
     }
-    if ![SEES_NOTHING, NO_CODE].contains(&package.name.as_str()) && !SERDE_USERS.contains(&package.name.as_str()) {
-        for name in package.dependencies.iter().filter(|name| SERDE_CRATES.contains(&name.as_str())) {
-            let message = format!("must not depend on {name}: only {SERDE_USERS:?} read and write files");
-            violations.push(Violation::of(&place, "serde", message));
-        }
+    if [SEES_NOTHING, NO_CODE].contains(&own) {
+        return violations;
+    }
+    for (crates, users) in [(&FORMATS[..], &FORMAT_USERS[..]), (&SERDE, &SERDE_USERS)] {
+        let found = dependencies.clone().filter(|name| crates.contains(name) && !users.contains(&own));
+        violations.extend(found.map(|name| {
+            let message = format!("must not depend on {name}: only {users:?} do; define the file format there");
+            Violation::of(&place, "serde", message)
+        }));
     }
     violations
 }
 
-fn is_allowed_in_tests(package: &Package, name: &str) -> bool {
-    let by_name = ALLOWED_IN_TESTS_OF.iter().any(|(of, allowed)| *of == package.name && allowed.contains(&name));
-    let sees_all = package.name == MEASURES_ALL;
-    sees_all
-        || ALLOWED_IN_ALL_TESTS.contains(&name)
-        || by_name
-        || (package.in_hal && ALLOWED_IN_HAL_TESTS.contains(&name))
+fn is_below_tests(package: &Package, name: &str) -> bool {
+    let own = short(&package.name);
+    own == MEASURES_ALL
+        || BELOW_ALL_TESTS.contains(&name)
+        || (package.folder.starts_with("hal/") && BELOW_HAL_TESTS.contains(&name))
+        || BELOW_TESTS_OF.iter().any(|(of, below)| *of == own && is_below(name, below))
 }
 
 #[cfg(test)]
@@ -406,19 +158,20 @@ mod tests {
     fn with(name: &str, in_hal: bool, dependencies: &[&str], test_dependencies: &[&str]) -> Package {
         let owned = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
         let (dependencies, test_dependencies) = (owned(dependencies), owned(test_dependencies));
-        Package { name: name.to_owned(), in_hal, dependencies, test_dependencies }
+        let folder = format!("{}/{name}/", if in_hal { "hal" } else { "crates" });
+        Package { name: name.to_owned(), folder, dependencies, test_dependencies }
     }
 
     fn rules(package: Package) -> Vec<&'static str> {
-        let names: Vec<&str> = ALLOWED.iter().map(|(name, _)| *name).chain([SEES_ALL, SEES_NOTHING]).collect();
+        let names: Vec<&str> = BELOW.iter().map(|(name, _)| *name).chain([SEES_ALL, SEES_NOTHING]).collect();
         check_package(&package, &names).into_iter().map(|v| v.rule).collect()
     }
 
     #[test]
     fn the_table_has_no_arrow_that_runs_upwards() {
-        for (index, (name, allowed)) in ALLOWED.iter().enumerate() {
-            for dependency in *allowed {
-                let above = ALLOWED[..index].iter().any(|(earlier, _)| earlier == dependency);
+        for (index, (name, below)) in BELOW.iter().enumerate() {
+            for dependency in *below {
+                let above = BELOW[..index].iter().any(|(earlier, _)| earlier == dependency);
                 assert!(above, "{name} -> {dependency}: {dependency} must have its line before {name}");
             }
         }
@@ -427,14 +180,10 @@ mod tests {
     #[test]
     fn backends_stay_strangers_to_each_other() {
         let backends = ["camera-replay", "camera-sim", "camera-v4l2", "arm-pa10"];
-        // The last two by what the rows above them name.
-        let may_name = ["orchestrator", "wiring", "commissioning", "setup", "cell"];
-        for (name, allowed) in ALLOWED.iter().filter(|(name, _)| !may_name.contains(name)) {
+        let may_name = ["orchestrator", "wiring", "commissioning", "python"];
+        for (name, _) in BELOW.iter().filter(|(name, _)| !may_name.contains(name)) {
             // The parts of one backend may depend on each other.
-            let is_own = |backend: &str| name.starts_with(backend);
-            let named = backends
-                .iter()
-                .find(|backend| !is_own(backend) && allowed.iter().any(|dependency| dependency.starts_with(*backend)));
+            let named = backends.into_iter().find(|backend| !name.starts_with(backend) && is_below(backend, name));
             assert_eq!(named, None, "named by {name}");
         }
     }
@@ -466,19 +215,9 @@ mod tests {
     #[test]
     fn serde_and_unknown_packages_are_caught() {
         assert_eq!(rules(with("geometry", false, &["serde"], &[])), ["serde"]);
+        assert_eq!(rules(with("bag", false, &["serde_json"], &[])), [""; 0]);
+        assert_eq!(rules(with("bag", false, &["serde"], &[])), ["serde"]);
         assert_eq!(rules(with("record", false, &["serde", "serde-saphyr"], &[])), [""; 0]);
         assert_eq!(rules(with("vision", false, &[], &[])), ["unknown-package"]);
-    }
-
-    #[test]
-    fn metadata_is_understood() {
-        let metadata = serde_json::json!({"packages": [
-            {"name": "serde", "source": "registry+x", "manifest_path": "/r/Cargo.toml", "dependencies": []},
-            {"name": "v4l2-sys-mit", "source": null, "manifest_path": "/x/hal/vendor/v4l2-sys-mit/Cargo.toml", "dependencies": []},
-            {"name": "pb3dp-camera-sim", "source": null, "manifest_path": "/x/hal/camera-sim/Cargo.toml", "dependencies": [
-                {"name": "pb3dp-sim", "kind": null}, {"name": "pb3dp-hal-conformance", "kind": "dev"}]},
-        ]});
-        let expected = with("camera-sim", true, &["sim"], &["hal-conformance"]);
-        assert_eq!(packages(&metadata).expect("complete"), [expected]);
     }
 }

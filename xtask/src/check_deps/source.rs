@@ -3,169 +3,87 @@
 use crate::rust_text::{code_only, line_at, paths, without_test_items};
 use crate::violation::Violation;
 
-/// A part of the system, the paths that access it, and the folders whose code may use it.
-struct World {
-    what: &'static str,
-    paths: &'static [&'static str],
-    allowed_in: &'static [&'static str],
-}
+/// A part of the system, and the paths that access it.
+type World = (&'static str, &'static [&'static str]);
 
-/// Byte streams, signals and real-time scheduling, for all backends.
-const PLATFORM: &str = "hal/platform/";
+const FILES: World =
+    ("files", &["std::fs", "std::os", "image::open", "image::ImageReader::open", "image::save_buffer", "File::open"]);
+const THREADS: World = ("threads", &["std::thread", "rayon"]);
+const CLOCK: World = (
+    "the wall clock",
+    &["std::time::Instant", "std::time::SystemTime", "std::time::UNIX_EPOCH", "Instant::now", "SystemTime::now"],
+);
+const ENVIRONMENT: World = ("the environment", &["std::env"]);
+const PROCESSES: World = ("other processes", &["std::process"]);
+const NETWORK: World = ("the network", &["std::net"]);
+const WORLDS: [World; 6] = [FILES, THREADS, CLOCK, ENVIRONMENT, PROCESSES, NETWORK];
 
-/// The folders of the arm's crates that do I/O; all other code receives bytes and time.
-const ARM: &str = "hal/arm-pa10/src/arm/";
-const ARM_BUS: &str = "hal/arm-pa10/src/bus/";
-const ARM_SERIAL: &str = "hal/arm-pa10/src/serial/";
-const GATEWAY_SERVICE: &str = "hal/arm-pa10-gateway/src/service/";
-const EMULATED_LINES: &str = "hal/arm-pa10-emulation/src/line/";
-
-/// The commands of calibration; all other code of the crate receives images.
-const CALIBRATION_IO: &str = "crates/calibration/src/command/";
-
-/// The only folder of the cameras' crate with system calls.
-const CAMERA_IO: &str = "hal/camera-v4l2/src/linux/";
-
-const WORLDS: [World; 6] = [
-    World {
-        what: "files",
-        paths: &["std::fs", "std::os", "image::open", "image::ImageReader::open", "image::save_buffer", "File::open"],
-        allowed_in: &[
-            "crates/bag/",
-            "crates/recording/",
-            "crates/record/",
-            "crates/setup/",
-            "crates/cell/src/flight.rs",
-            "crates/cell/src/interruption.rs",
-            "crates/cell/src/machine.rs",
-            "crates/setup/src/layers/variables.rs",
-            "crates/cell/src/report.rs",
-            "crates/commissioning/",
-            "crates/orchestrator/",
-            "crates/benchmarks/",
-            "hal/camera-recordings/",
-            PLATFORM,
-            ARM,
-            ARM_BUS,
-            ARM_SERIAL,
-            GATEWAY_SERVICE,
-            EMULATED_LINES,
-            CAMERA_IO,
-            CALIBRATION_IO,
-        ],
-    },
-    World {
-        what: "threads",
-        paths: &["std::thread", "rayon"],
-        allowed_in: &[
-            "crates/bag/src/live/",
-            "crates/bag/src/queue.rs",
-            "crates/bag/src/recent.rs",
-            "crates/bag/src/writer.rs",
-            "crates/recording/src/replay/mod.rs",
-            "crates/cell/src/attended_motion.rs",
-            "crates/cell/src/beside.rs",
-            "crates/cell/src/console.rs",
-            "crates/cell/src/console/reading.rs",
-            "crates/cell/src/interruption.rs",
-            "crates/cell/src/live.rs",
-            "crates/cell/src/machine.rs",
-            "crates/cell/src/paced_clock.rs",
-            "crates/cell/src/stepped.rs",
-            "crates/cell/src/terminal.rs",
-            "crates/panel/src/panel.rs",
-            "crates/panel/src/reporting.rs",
-            "crates/panel/src/server/mod.rs",
-            "crates/wiring/src/at_once.rs",
-            "crates/commissioning/",
-            "crates/orchestrator/",
-            "crates/benchmarks/",
-            "hal/clock/",
-            "hal/conformance/",
-            PLATFORM,
-            ARM,
-            GATEWAY_SERVICE,
-            EMULATED_LINES,
-            CALIBRATION_IO,
-        ],
-    },
-    World {
-        what: "the wall clock",
-        paths: &[
-            "std::time::Instant",
-            "std::time::SystemTime",
-            "std::time::UNIX_EPOCH",
-            "Instant::now",
-            "SystemTime::now",
-        ],
-        allowed_in: &[
-            "crates/bag/src/live/",
-            "crates/bag/src/writer.rs",
-            "crates/cell/src/compared.rs",
-            "crates/cell/src/flight.rs",
-            "crates/cell/src/interruption.rs",
-            "crates/cell/src/looking.rs",
-            "crates/cell/src/paced_clock.rs",
-            "crates/panel/src/control_link.rs",
-            "crates/panel/src/operator.rs",
-            "crates/panel/src/preview.rs",
-            "crates/panel/src/reporting.rs",
-            "crates/panel/src/server/checks.rs",
-            "crates/panel/src/server/commands.rs",
-            "crates/panel/src/server/rate.rs",
-            "crates/panel/src/state_of.rs",
-            "crates/wiring/src/lib.rs",
-            "crates/wiring/src/calibration.rs",
-            "crates/recording/src/pairs.rs",
-            "crates/calibration/src/command/source.rs",
-            "crates/commissioning/",
-            "crates/orchestrator/",
-            "hal/clock/",
-            "hal/conformance/",
-            PLATFORM,
-            ARM,
-            ARM_BUS,
-        ],
-    },
-    World {
-        what: "the environment",
-        paths: &["std::env"],
-        allowed_in: &[
-            "crates/cell/src/machine.rs",
-            "crates/setup/src/layers/variables.rs",
-            // Tests move arms side by side.
-            "crates/wiring/src/sole_program.rs",
-            "crates/commissioning/",
-            "crates/orchestrator/",
-        ],
-    },
-    World {
-        what: "other processes",
-        paths: &["std::process"],
-        allowed_in: &[
-            // Ends the program on a second signal.
-            "crates/cell/src/interruption.rs",
-            "crates/commissioning/",
-            "crates/orchestrator/",
-            "crates/benchmarks/",
-            "crates/calibration/src/main.rs",
-            CALIBRATION_IO,
-        ],
-    },
-    World {
-        what: "the network",
-        paths: &["std::net"],
-        allowed_in: &[
-            PLATFORM,
-            GATEWAY_SERVICE,
-            EMULATED_LINES,
-            "crates/bag/src/error.rs",
-            "crates/bag/src/live/",
-            "crates/panel/src/config.rs",
-            "crates/panel/src/panel.rs",
-            "crates/panel/src/server/",
-        ],
-    },
+/// The files and folders that may access the system, and which parts of it.
+const ALLOWED: &[(&str, &[World])] = &[
+    ("crates/bag/", &[FILES]),
+    ("crates/bag/src/error.rs", &[NETWORK]),
+    ("crates/bag/src/live/", &[THREADS, CLOCK, NETWORK]),
+    ("crates/bag/src/queue.rs", &[THREADS]),
+    ("crates/bag/src/recent.rs", &[THREADS]),
+    ("crates/bag/src/writer.rs", &[THREADS, CLOCK]),
+    ("crates/benchmarks/", &[FILES, THREADS, PROCESSES]),
+    // The commands of calibration; all other code of the crate receives images.
+    ("crates/calibration/src/command/", &[FILES, THREADS, PROCESSES]),
+    ("crates/calibration/src/command/source.rs", &[CLOCK]),
+    ("crates/calibration/src/main.rs", &[PROCESSES]),
+    ("crates/cell/src/attended_motion.rs", &[THREADS]),
+    ("crates/cell/src/beside.rs", &[THREADS]),
+    ("crates/cell/src/compared.rs", &[CLOCK]),
+    ("crates/cell/src/console.rs", &[THREADS]),
+    ("crates/cell/src/console/reading.rs", &[THREADS]),
+    ("crates/cell/src/flight.rs", &[FILES, CLOCK]),
+    // Ends the program on a second signal.
+    ("crates/cell/src/interruption.rs", &[FILES, THREADS, CLOCK, PROCESSES]),
+    ("crates/cell/src/live.rs", &[THREADS]),
+    ("crates/cell/src/looking.rs", &[CLOCK]),
+    ("crates/cell/src/machine.rs", &[FILES, THREADS, ENVIRONMENT]),
+    ("crates/cell/src/paced_clock.rs", &[THREADS, CLOCK]),
+    ("crates/cell/src/report.rs", &[FILES]),
+    ("crates/cell/src/stepped.rs", &[THREADS]),
+    ("crates/cell/src/terminal.rs", &[THREADS]),
+    ("crates/commissioning/", &[FILES, THREADS, CLOCK, ENVIRONMENT, PROCESSES]),
+    ("crates/orchestrator/", &[FILES, THREADS, CLOCK, ENVIRONMENT, PROCESSES]),
+    ("crates/panel/src/config.rs", &[NETWORK]),
+    ("crates/panel/src/control_link.rs", &[CLOCK]),
+    ("crates/panel/src/operator.rs", &[CLOCK]),
+    ("crates/panel/src/panel.rs", &[THREADS, NETWORK]),
+    ("crates/panel/src/preview.rs", &[CLOCK]),
+    ("crates/panel/src/reporting.rs", &[THREADS, CLOCK]),
+    ("crates/panel/src/server/", &[NETWORK]),
+    ("crates/panel/src/server/checks.rs", &[CLOCK]),
+    ("crates/panel/src/server/commands.rs", &[CLOCK]),
+    ("crates/panel/src/server/mod.rs", &[THREADS]),
+    ("crates/panel/src/server/rate.rs", &[CLOCK]),
+    ("crates/panel/src/state_of.rs", &[CLOCK]),
+    ("crates/record/", &[FILES]),
+    ("crates/recording/", &[FILES]),
+    ("crates/recording/src/pairs.rs", &[CLOCK]),
+    ("crates/recording/src/replay/mod.rs", &[THREADS]),
+    ("crates/setup/", &[FILES]),
+    ("crates/setup/src/layers/variables.rs", &[FILES, ENVIRONMENT]),
+    ("crates/wiring/src/at_once.rs", &[THREADS]),
+    ("crates/wiring/src/calibration.rs", &[CLOCK]),
+    ("crates/wiring/src/lib.rs", &[CLOCK]),
+    // Tests move arms side by side.
+    ("crates/wiring/src/sole_program.rs", &[ENVIRONMENT]),
+    ("hal/arm-pa10-emulation/src/line/", &[FILES, THREADS, NETWORK]),
+    ("hal/arm-pa10-gateway/src/service/", &[FILES, THREADS, NETWORK]),
+    // The folders of the arm's crates that do I/O; all other code receives bytes and time.
+    ("hal/arm-pa10/src/arm/", &[FILES, THREADS, CLOCK]),
+    ("hal/arm-pa10/src/bus/", &[FILES, CLOCK]),
+    ("hal/arm-pa10/src/serial/", &[FILES]),
+    ("hal/camera-recordings/", &[FILES]),
+    // The only folder of the cameras' crate with system calls.
+    ("hal/camera-v4l2/src/linux/", &[FILES]),
+    ("hal/clock/", &[THREADS, CLOCK]),
+    ("hal/conformance/", &[THREADS, CLOCK]),
+    // Byte streams, signals and real-time scheduling, for all backends.
+    ("hal/platform/", &[FILES, THREADS, CLOCK, NETWORK]),
 ];
 
 /// Crate names of the backends; only the modules in [`NAME_BACKENDS`] may name them.
@@ -185,16 +103,6 @@ const NAME_BACKENDS: [&str; 4] = [
     "crates/orchestrator/src/commands/cameras/",
     "crates/orchestrator/src/commands/doctor/",
 ];
-/// Packages that may derive the traits of serde.
-const DERIVE_SERDE: [&str; 6] = [
-    "crates/setup/",
-    "crates/cell/",
-    "crates/panel/",
-    "crates/commissioning/",
-    "crates/orchestrator/",
-    "crates/record/",
-];
-const SERDE_TRAITS: [&str; 2] = ["Serialize", "Deserialize"];
 
 /// Modules that may use a speed scale: the setup that states it, and the type that applies it. All others get effective limits.
 const KNOW_SPEED_SCALE: [&str; 2] = ["crates/setup/", "crates/kinematics/src/effective_limits.rs"];
@@ -213,7 +121,6 @@ pub fn check(path: &str, text: &str) -> Vec<Violation> {
     let code = without_test_items(&code_only(text));
     let mut violations = worlds(path, &code);
     violations.extend(backends(path, &code));
-    violations.extend(serde_derives(path, &code));
     violations.extend(speed_scales(path, &code));
     violations.sort();
     violations.dedup();
@@ -223,12 +130,14 @@ pub fn check(path: &str, text: &str) -> Vec<Violation> {
 fn worlds(path: &str, code: &str) -> Vec<Violation> {
     let named = paths(code);
     let mut violations = Vec::new();
-    for world in WORLDS.iter().filter(|world| !world.allowed_in.iter().any(|folder| path.starts_with(folder))) {
-        for (line, name) in &named {
-            if world.paths.iter().any(|forbidden| leads_to(name, forbidden)) {
-                let message = format!("`{name}`: {} may be used in {:?} only", world.what, world.allowed_in);
-                violations.push(Violation::at(path, *line, "outside-world", message));
-            }
+    for (what, forbidden) in WORLDS {
+        let here = |(place, worlds): &(&str, &[World])| path.starts_with(place) && worlds.iter().any(|w| w.0 == what);
+        if ALLOWED.iter().any(here) {
+            continue;
+        }
+        for (line, name) in named.iter().filter(|(_, name)| forbidden.iter().any(|path| leads_to(name, path))) {
+            let message = format!("`{name}`: only the places in xtask/src/check_deps/source.rs may use {what}");
+            violations.push(Violation::at(path, *line, "outside-world", message));
         }
     }
     violations
@@ -270,21 +179,6 @@ fn speed_scales(path: &str, code: &str) -> Vec<Violation> {
     let message = "`speed_scale`: use `EffectiveLimits`, which already contain it; do not multiply by it again";
     let found = code.match_indices("speed_scale");
     found.map(|(at, _)| Violation::at(path, line_at(code, at), "speed-scale", message)).collect()
-}
-
-fn serde_derives(path: &str, code: &str) -> Vec<Violation> {
-    if DERIVE_SERDE.iter().any(|folder| path.starts_with(folder)) {
-        return Vec::new();
-    }
-    let mut violations = Vec::new();
-    for (at, mark) in code.match_indices("derive(") {
-        let derived = code[at + mark.len()..].split(')').next().unwrap_or_default();
-        if SERDE_TRAITS.iter().any(|name| derived.contains(name)) {
-            let message = "only setup, cell, commissioning, record and orchestrator may derive serde traits: define the file format there";
-            violations.push(Violation::at(path, line_at(code, at), "serde", message));
-        }
-    }
-    violations
 }
 
 #[cfg(test)]
@@ -362,14 +256,12 @@ mod tests {
     }
 
     #[test]
-    fn backends_and_derives_are_caught() {
+    fn backends_are_caught() {
         assert_eq!(rules("crates/servo/src/a.rs", "use pb3dp_arm_pa10::Mock;"), ["backend-named"]);
         assert!(rules("crates/wiring/src/arm.rs", "use pb3dp_arm_pa10::Mock;").is_empty());
         assert_eq!(rules("crates/orchestrator/src/commands/run.rs", "use pb3dp_arm_pa10::Mock;"), ["backend-named"]);
         assert_eq!(rules("crates/cell/src/moving.rs", "use pb3dp_arm_pa10::Mock;"), ["backend-named"]);
         assert_eq!(rules("crates/setup/src/setup/link.rs", "use pb3dp_camera_v4l2::names::X;"), ["backend-named"]);
         assert!(rules("crates/setup/src/setup/link.rs", "use pb3dp_arm_pa10_protocol::places::BusTarget;").is_empty());
-        assert_eq!(rules("crates/servo/src/a.rs", "#[derive(Debug, serde::Serialize)]\nstruct A;"), ["serde"]);
-        assert!(rules("crates/record/src/a.rs", "#[derive(Debug, Serialize)]\nstruct A;").is_empty());
     }
 }

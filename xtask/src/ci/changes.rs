@@ -2,9 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use anyhow::Context;
-use serde_json::Value;
-
+use crate::packages::{self, Package};
 use crate::workspace::{SourceFile, Workspace};
 
 /// Environment variable that gives the base.
@@ -72,7 +70,7 @@ pub fn find(workspace: &Workspace) -> anyhow::Result<Changes> {
     let (Some(changed), Some(new)) = (changed, new) else {
         return Ok(Changes::Everything(format!("git cannot list the changes since {base}")));
     };
-    let packages = packages(&workspace.metadata()?)?;
+    let packages = packages::of(&workspace.metadata()?)?;
     let sources = workspace.texts(&[".rs"])?;
     let readers = |page: &str| readers(page, &sources, &packages);
     Ok(touched(changed.lines().chain(new.lines()), &packages, readers, base))
@@ -90,34 +88,6 @@ fn base(workspace: &Workspace) -> Option<String> {
     // On the trunk itself only uncommitted changes are known.
     let is_dirty = !workspace.output_of("git", &["status", "--porcelain"])?.is_empty();
     (base != head || is_dirty).then_some(base)
-}
-
-/// A package of the workspace.
-#[derive(Clone, Debug)]
-struct Package {
-    name: String,
-    /// Folder inside the workspace, with a slash at the end.
-    folder: String,
-    /// Names of its dependencies.
-    dependencies: Vec<String>,
-    /// Names of the dependencies of its tests and examples.
-    test_dependencies: Vec<String>,
-}
-
-fn packages(metadata: &Value) -> anyhow::Result<Vec<Package>> {
-    let root = metadata["workspace_root"].as_str().context("the output of cargo metadata has no workspace")?;
-    let all = metadata["packages"].as_array().context("the output of cargo metadata has no packages")?;
-    let package = |package: &Value| {
-        let manifest = package["manifest_path"].as_str()?;
-        let folder = manifest.strip_prefix(root)?.trim_start_matches('/').strip_suffix("Cargo.toml")?.to_owned();
-        let (for_tests, others): (Vec<&Value>, _) =
-            package["dependencies"].as_array()?.iter().partition(|dependency| dependency["kind"] == "dev");
-        let names =
-            |list: Vec<&Value>| list.iter().filter_map(|entry| Some(entry["name"].as_str()?.to_owned())).collect();
-        let (dependencies, test_dependencies) = (names(others), names(for_tests));
-        Some(Package { name: package["name"].as_str()?.to_owned(), folder, dependencies, test_dependencies })
-    };
-    Ok(all.iter().filter(|p| p["source"].is_null()).filter_map(package).collect())
 }
 
 /// Whether a file is written for people. Programs may read it too: [`readers`].
@@ -244,23 +214,5 @@ mod tests {
         for path in ["Cargo.lock", "configs/sim.toml", ".ci/run", "xtask/src/ci.rs", "crates/new/src/lib.rs"] {
             assert_eq!(names(&["crates/servo/src/lib.rs", path]), None, "{path}");
         }
-    }
-
-    #[test]
-    fn packages_are_those_of_the_workspace() {
-        let metadata = serde_json::json!({
-            "workspace_root": "/w",
-            "packages": [
-                { "name": "serde", "source": "registry", "manifest_path": "/r/serde/Cargo.toml", "dependencies": [] },
-                { "name": "pb3dp-servo", "source": null, "manifest_path": "/w/crates/servo/Cargo.toml",
-                  "dependencies": [{ "name": "serde", "kind": null }, { "name": "tempfile", "kind": "dev" }] },
-            ],
-        });
-        let found = packages(&metadata).unwrap();
-        assert_eq!((found.len(), found[0].folder.as_str()), (1, "crates/servo/"));
-        assert_eq!(
-            (&found[0].dependencies[..], &found[0].test_dependencies[..]),
-            (&["serde".to_owned()][..], &["tempfile".to_owned()][..])
-        );
     }
 }

@@ -12,8 +12,8 @@ use super::space;
 use crate::test::Selection;
 use crate::workspace::{Workspace, run_visibly};
 use crate::{
-    bench, check_deps, commissioning, fuzz_build, licences, miri, msrv, panel, python_package, recordings, required,
-    test, tidy, vm,
+    bench, check_deps, commissioning, fuzz_build, licences, miri, panel, python_package, recordings, required, test,
+    tidy, toolchains, vm,
 };
 
 /// Context of the steps.
@@ -153,7 +153,10 @@ pub const STEPS: [Step; 19] = [
     Step {
         name: "commissioning",
         due: Due::Product(&["pb3dp-calibration", "pb3dp-orchestrator"]),
-        run: |progress| commissioning::calibrate(progress.workspace, progress.programs()),
+        run: |progress| {
+            let args = commissioning::Args { calibrate_only: true, release: false };
+            commissioning::run(progress.workspace, &args, progress.programs())
+        },
     },
     Step {
         name: "recordings",
@@ -163,7 +166,7 @@ pub const STEPS: [Step; 19] = [
     Step {
         name: "python",
         due: Due::Tests(&["pb3dp-python", "pb3dp-orchestrator"]),
-        run: |progress| python_package::check(progress.workspace, progress.programs()),
+        run: |progress| python_package::run(progress.workspace, &python_package::Args::default(), progress.programs()),
     },
     Step { name: "panel", due: Due::Tests(&["pb3dp-panel"]), run: driven_panel },
     Step { name: "accuracy", due: Due::Product(&[MEASURED]), run: accuracy },
@@ -175,7 +178,7 @@ pub const STEPS: [Step; 19] = [
     Step { name: "safeguards", due: Due::Product(GUARDED), run: |progress| bench::safeguards(progress.workspace) },
     Step { name: "fuzz", due: Due::Tests(FUZZED), run: |progress| fuzz_build::run(progress.workspace) },
     Step { name: "miri", due: Due::Product(KERNELS), run: |progress| miri::run(progress.workspace) },
-    Step { name: "msrv", due: Due::Product(MANIFESTS), run: |progress| msrv::run(progress.workspace) },
+    Step { name: "msrv", due: Due::Product(MANIFESTS), run: |progress| toolchains::check_oldest(progress.workspace) },
 ];
 
 /// Fails with the install command if a component of the toolchain is missing.
@@ -222,7 +225,7 @@ fn tests(progress: &mut Progress<'_>) -> anyhow::Result<()> {
     progress.ahead = ahead;
     let tested = progress.tested.insert(tested);
     tested.report.conclude()?;
-    required::check(&tested.report, &plan.packages)
+    required::check(workspace, &tested.report, &plan.packages)
 }
 
 /// Starts the build for `accuracy` and `vm`, where a program of lower priority disturbs no test: the last tests and the steps after them keep

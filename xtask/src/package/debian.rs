@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 
-use super::{Release, copy, copy_folder, write};
+use super::Release;
+use crate::files::{self, copy, copy_folder, remove_folder, write};
 use crate::not_possible::NotPossible;
 use crate::workspace::{Workspace, run_visibly};
 
@@ -49,9 +50,7 @@ pub fn build(workspace: &Workspace, release: &Release, tree: &Path) -> anyhow::R
         return Err(NotPossible::because("dpkg is missing: install the package dpkg to build a .deb"));
     };
     let root = release.folder.join("deb");
-    if root.exists() {
-        fs::remove_dir_all(&root).with_context(|| format!("cannot remove {}", root.display()))?;
-    }
+    remove_folder(&root)?;
     copy_folder(tree, &root.join("usr"))?;
     let functions = root.join("usr/share/zsh/site-functions");
     fs::rename(&functions, root.join("usr/share/zsh/vendor-completions"))
@@ -63,7 +62,8 @@ pub fn build(workspace: &Workspace, release: &Release, tree: &Path) -> anyhow::R
     for (from, to) in DEPLOYED {
         copy(&workspace.root().join("configs/deploy").join(from), &root.join(to))?;
     }
-    let size_kib = run_size(&root)? / 1024;
+    let size_kib =
+        files::all(&root)?.iter().map(|file| fs::metadata(file).map_or(0, |found| found.len())).sum::<u64>() / 1024;
     write(&root.join("DEBIAN/control"), &control(&release.version, &architecture, size_kib))?;
     let of_user: String =
         DEPLOYED.iter().filter(|(_, to)| to.starts_with("etc/")).map(|(_, to)| format!("/{to}\n")).collect();
@@ -94,16 +94,6 @@ fn control(version: &str, architecture: &str, size_kib: u64) -> String {
          pb3dp estimates the pose of the object in every frame, and a robot arm that\n \
          carries the cameras keeps a chosen pose relative to it.\n"
     )
-}
-
-/// Bytes of all files below a folder.
-fn run_size(folder: &Path) -> anyhow::Result<u64> {
-    let mut bytes = 0;
-    for entry in fs::read_dir(folder).with_context(|| format!("cannot list {}", folder.display()))? {
-        let entry = entry?;
-        bytes += if entry.path().is_dir() { run_size(&entry.path())? } else { entry.metadata()?.len() };
-    }
-    Ok(bytes)
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use anyhow::Context;
 use serde_json::Value;
 
-use crate::workspace::Workspace;
+use crate::workspace::{Workspace, output_of};
 
 /// The package of the program.
 pub const PROGRAM: &str = "pb3dp-orchestrator";
@@ -17,8 +17,7 @@ pub const PROGRAM: &str = "pb3dp-orchestrator";
 /// If cargo does not list them.
 pub fn crates(workspace: &Workspace) -> anyhow::Result<Vec<Value>> {
     let tree = ["tree", "--locked", "--package", PROGRAM, "--edges", "normal", "--prefix", "none"];
-    let output = workspace.cargo().args(tree).args(["--format", "{p}"]).output().context("cannot run `cargo tree`")?;
-    let listed = String::from_utf8(output.stdout).context("`cargo tree` printed no text")?;
+    let listed = output_of(workspace.cargo().args(tree).args(["--format", "{p}"]))?;
     let linked: BTreeSet<(&str, &str)> = listed.lines().filter_map(name_and_version).collect();
     let mut metadata = workspace.metadata()?;
     let packages = metadata["packages"].as_array_mut().context("`packages` is missing from cargo metadata")?;

@@ -1,12 +1,13 @@
 //! Trial of the release in a clean root: an empty one for the archive, a fresh Debian for the package.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use anyhow::{Context, bail};
 
-use super::{Release, copy};
+use super::Release;
+use crate::apt::is_root;
+use crate::files::{copy, create_folder, remove_folder};
 use crate::not_possible::NotPossible;
 use crate::workspace::{Workspace, run_visibly};
 
@@ -36,7 +37,7 @@ pub fn of_package(workspace: &Workspace, release: &Release, package: &Path, mirr
             "the package was built, but not tried: debootstrap is missing (run apt-get install debootstrap)",
         ));
     }
-    if workspace.output_of("id", &["-u"]).as_deref() != Some("0") {
+    if !is_root() {
         return Err(NotPossible::because("the package was built, but not tried: debootstrap and chroot need root"));
     }
     let root = emptied(&release.folder.join("debian-root"))?;
@@ -80,7 +81,7 @@ impl Installed<'_> {
     fn command(&self, program: &str, args: &[&str]) -> Command {
         let mut command = self.workspace.command("unshare");
         // `unshare` instead of `chroot`, because it also works without root.
-        if self.workspace.output_of("id", &["-u"]).as_deref() != Some("0") {
+        if !is_root() {
             command.arg("--map-root-user");
         }
         command.arg(format!("--root={}", self.root.display())).arg("--wd=/");
@@ -127,9 +128,7 @@ impl Installed<'_> {
 }
 
 fn emptied(folder: &Path) -> anyhow::Result<PathBuf> {
-    if folder.exists() {
-        fs::remove_dir_all(folder).with_context(|| format!("cannot remove {}", folder.display()))?;
-    }
-    fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
+    remove_folder(folder)?;
+    create_folder(folder)?;
     Ok(folder.to_path_buf())
 }

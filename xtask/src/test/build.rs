@@ -1,6 +1,5 @@
 //! One build of everything for the tests: one call of cargo, one set of features, one profile.
 
-use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
@@ -8,7 +7,6 @@ use anyhow::{Context, bail};
 use serde_json::Value;
 
 use super::Selection;
-use super::timings::{self, Unit};
 use crate::workspace::Workspace;
 
 /// Examples with tests, and their packages. Clippy checks the others.
@@ -43,12 +41,12 @@ impl Program {
 }
 
 /// Results of a build.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Built {
-    /// Programs of the product, by name: `pb3dp`, `pb3dp-calibrate`.
-    programs: Vec<(String, PathBuf)>,
-    /// Cargo's target folder.
-    target: PathBuf,
+    /// The test programs.
+    pub tests: Vec<Program>,
+    /// Programs of the product.
+    programs: Vec<Program>,
 }
 
 impl Built {
@@ -57,89 +55,41 @@ impl Built {
     /// # Errors
     /// If the build had no programs.
     pub fn folder(&self) -> anyhow::Result<&Path> {
-        let program =
-            self.programs.iter().find(|(name, _)| name == "pb3dp").context("the build has no program pb3dp")?;
-        program.1.parent().context("the path of pb3dp has no folder")
-    }
-
-    /// Build time of each unit, without units that were up to date.
-    pub fn units(&self) -> Vec<Unit> {
-        timings::units(&self.target.join("cargo-timings"))
+        let program = self.programs.iter().find(|program| program.target == "pb3dp");
+        program.and_then(|program| program.path.parent()).context("the build has no program pb3dp")
     }
 }
 
-/// Builds the selected packages, and passes on each test program as soon as it is built. `before` is the prefix of the cargo command.
+/// Builds the selected packages. Cargo writes the time of each unit to target/cargo-timings.
 ///
 /// # Errors
 /// If something does not build.
-pub fn run(
-    workspace: &Workspace,
-    before: &[&str],
-    packages: &Selection,
-    mut ready: impl FnMut(Program),
-) -> anyhow::Result<Built> {
+pub fn run(workspace: &Workspace, packages: &Selection) -> anyhow::Result<Built> {
     let selected = packages.arguments(|_| true);
-    let mut command = workspace.cargo_after(before);
-    command.arg("test").args(&selected).args(["--locked", "--no-run", "--lib", "--bins", "--tests", "--timings"]);
+    let mut command = workspace.cargo();
+    command.arg("test").args(&selected).args(["--locked", "--no-run", "--bins", "--tests", "--timings"]);
     let examples = TESTED_EXAMPLES.iter().filter(|(_, package)| packages.has(package));
     command.args(examples.flat_map(|(name, _)| ["--example", name]));
     command.args(["--quiet", "--message-format", "json-render-diagnostics"]);
     println!("$ cargo test {} --no-run", selected.join(" "));
-    let mut child = command.stdout(Stdio::piped()).spawn().context("cannot run cargo")?;
-    let output = child.stdout.take().context("cargo has no output")?;
-    let mut built = Built { programs: Vec::new(), target: workspace.target_folder()? };
-    let mut handover = Handover::new(&workspace.metadata()?, packages);
-    for line in BufReader::new(output).lines() {
-        let message: Value = serde_json::from_str(&line?).context("cargo did not print JSON")?;
-        let Some((is_test, program)) = artifact(&message) else { continue };
-        handover.take(is_test, &program).into_iter().for_each(&mut ready);
-        if !is_test {
-            built.programs.push((program.target, program.path));
-        }
-    }
-    if !child.wait()?.success() {
+    let output = command.stderr(Stdio::inherit()).output().context("cannot run cargo")?;
+    if !output.status.success() {
         bail!("the tests do not build: see the compiler errors above");
+    }
+    let mut built = Built::default();
+    for line in String::from_utf8(output.stdout).context("cargo did not print text")?.lines() {
+        let message: Value = serde_json::from_str(line).context("cargo did not print JSON")?;
+        match artifact(&message) {
+            Some((true, program)) => built.tests.push(program),
+            Some((false, program)) => built.programs.push(program),
+            None => {}
+        }
     }
     Ok(built)
 }
 
-/// Delays test programs until the programs that they start are built. Cargo does not: it tells tests the future path of a
-/// program, and may link the program after them.
-struct Handover {
-    /// Package and name of the programs that are not built yet.
-    awaited: Vec<(String, String)>,
-    held: Vec<Program>,
-}
-
-impl Handover {
-    /// Reads `cargo metadata`.
-    fn new(metadata: &Value, packages: &Selection) -> Self {
-        let of = |value: &Value| value["name"].as_str().unwrap_or_default().to_owned();
-        let mut awaited = Vec::new();
-        let all = metadata["packages"].as_array().into_iter().flatten();
-        for package in all.filter(|package| packages.has(&of(package))) {
-            let targets = package["targets"].as_array().into_iter().flatten();
-            awaited.extend(targets.filter(|target| target["kind"][0] == "bin").map(|target| (of(package), of(target))));
-        }
-        Self { awaited, held: Vec::new() }
-    }
-
-    /// The tests that can run after this program has been built.
-    fn take(&mut self, is_test: bool, program: &Program) -> Vec<Program> {
-        if is_test {
-            self.held.push(program.clone());
-        } else {
-            self.awaited.retain(|(package, name)| *package != program.package || *name != program.target);
-        }
-        let must_wait = |program: &Program| {
-            program.kind == "test" && self.awaited.iter().any(|(package, _)| *package == program.package)
-        };
-        self.held.extract_if(.., |program| !must_wait(program)).collect()
-    }
-}
-
 /// A program from one of cargo's messages, and whether it is a test.
-fn artifact(message: &Value) -> Option<(bool, Program)> {
+pub fn artifact(message: &Value) -> Option<(bool, Program)> {
     if message["reason"] != "compiler-artifact" {
         return None;
     }
@@ -164,29 +114,6 @@ fn package_of(id: &str, folder: &Path) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn tests_wait_for_the_programs_that_they_start() {
-        let package = |name: &str, kind: &str, target: &str| serde_json::json!({ "name": name, "targets": [{ "name": target, "kind": [kind] }] });
-        let packages = [package("pb3dp-servo", "lib", "pb3dp_servo"), package("pb3dp-calibration", "bin", "calibrate")];
-        let mut handover = Handover::new(&serde_json::json!({ "packages": packages }), &Selection::Everything);
-        let program = |package: &str, kind: &str, target: &str| Program {
-            package: package.to_owned(),
-            target: target.to_owned(),
-            kind: kind.to_owned(),
-            path: PathBuf::new(),
-            folder: PathBuf::new(),
-        };
-        let tests = program("pb3dp-calibration", "test", "integration");
-        let unit_tests = program("pb3dp-calibration", "lib", "pb3dp_calibration");
-        let others = program("pb3dp-servo", "test", "integration");
-        assert_eq!(handover.take(true, &tests), []);
-        assert_eq!(handover.take(true, &others), [others]);
-        assert_eq!(handover.take(true, &unit_tests), [unit_tests]);
-        // The unit tests of a program are not a program.
-        assert_eq!(handover.take(true, &program("pb3dp-calibration", "bin", "calibrate")).len(), 1);
-        assert_eq!(handover.take(false, &program("pb3dp-calibration", "bin", "calibrate")), [tests]);
-    }
 
     #[test]
     fn programs_are_found_in_what_cargo_prints() {

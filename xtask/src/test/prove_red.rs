@@ -6,12 +6,11 @@ use std::time::Instant;
 
 use anyhow::{Context, bail};
 
-use crate::required::{REQUIRED, Required};
+use super::build::artifact;
+use crate::required::{self, PATCHES, Required};
 use crate::scratch::Scratch;
-use crate::workspace::Workspace;
+use crate::workspace::{Workspace, output_of};
 
-/// Patches of the product, one for each required test.
-const PATCHES: &str = "tests/red";
 /// Number of busy loops in the second half.
 const BUSY_LOOPS: usize = 4;
 
@@ -22,8 +21,8 @@ const BUSY_LOOPS: usize = 4;
 /// If a patch does not apply, the copy does not build, or a test has the wrong result.
 pub fn run(workspace: &Workspace, filter: Option<&str>) -> anyhow::Result<()> {
     let begin = Instant::now();
-    let wanted = REQUIRED.iter().filter(|required| filter.is_none_or(|part| required.patch.contains(part)));
-    let wanted: Vec<&Required> = wanted.collect();
+    let mut wanted = required::all(workspace)?;
+    wanted.retain(|required| filter.is_none_or(|part| required.patch.contains(part)));
     if wanted.is_empty() {
         bail!("no patch in {PATCHES} has this name");
     }
@@ -55,27 +54,19 @@ enum Colour {
     Green,
     Red,
     /// The test was not checked, or does not exist.
-    Grey,
+    Unknown,
 }
 
 impl Colour {
-    fn word(self) -> &'static str {
-        match self {
-            Self::Green => "green",
-            Self::Red => "red",
-            Self::Grey => "not checked",
-        }
-    }
-
     /// From the output of the test program.
     fn of(output: &str, succeeded: bool) -> Self {
         if output.contains("NOT CHECKED: ") {
-            return Self::Grey;
+            return Self::Unknown;
         }
         match (succeeded, output.contains("test result: ok. 1 passed"), output.contains(" 0 passed; 1 failed")) {
             (true, true, _) => Self::Green,
             (false, _, true) => Self::Red,
-            _ => Self::Grey,
+            _ => Self::Unknown,
         }
     }
 }
@@ -89,9 +80,9 @@ struct Proof {
 impl Proof {
     fn expect(&mut self, expected: Colour, how: &str, program: &Path, required: &Required) -> anyhow::Result<()> {
         let (seen, took_s) = self.run(program, required)?;
-        println!("{}, {how}: {} in {took_s:.1} s", required.patch, seen.word());
+        println!("{}, {how}: {seen:?} in {took_s:.1} s", required.patch);
         if seen != expected {
-            self.wrong.push(format!("{} {how} is {}", required.test, seen.word()));
+            self.wrong.push(format!("{} {how} is {seen:?}", required.test));
         }
         Ok(())
     }
@@ -100,36 +91,27 @@ impl Proof {
     fn apply(&self, required: &Required, reverse: bool) -> anyhow::Result<()> {
         let mut command = Command::new("git");
         command.arg("apply").args(reverse.then_some("--reverse"));
-        command.arg(Path::new(PATCHES).join(required.patch)).current_dir(&self.scratch.tree);
+        command.arg(Path::new(PATCHES).join(&required.patch)).current_dir(&self.scratch.tree);
         // Git must not take the tree for a part of the surrounding repository.
         command
             .env("GIT_CEILING_DIRECTORIES", self.scratch.tree.parent().context("the copy lies in a folder")?)
             .env_remove("GIT_DIR");
-        let output = command.output().context("cannot run git")?;
-        if !output.status.success() {
-            let said = String::from_utf8_lossy(&output.stderr);
-            bail!("{PATCHES}/{} does not apply any more; create it again: {}", required.patch, said.trim_end());
-        }
-        Ok(())
+        output_of(&mut command)
+            .map(|_| ())
+            .with_context(|| format!("{PATCHES}/{} does not apply any more; create it again", required.patch))
     }
 
     /// The test program.
     fn build(&self, required: &Required) -> anyhow::Result<PathBuf> {
         let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
         command.current_dir(&self.scratch.tree).env("CARGO_TARGET_DIR", &self.scratch.target);
-        command.args(["test", "--locked", "--no-run", "--package", required.package, "--test", required.program]);
-        command.args(["--quiet", "--message-format", "json-render-diagnostics"]).stderr(Stdio::piped());
-        let output = command.output().context("cannot run cargo")?;
-        if !output.status.success() {
-            bail!("{} does not build: {}", required.patch, String::from_utf8_lossy(&output.stderr));
-        }
-        let text = String::from_utf8_lossy(&output.stdout);
-        let messages = text.lines().filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok());
-        let is_wanted = |message: &serde_json::Value| {
-            message["target"]["name"] == required.program && message["profile"]["test"] == true
-        };
-        let program =
-            messages.filter(is_wanted).find_map(|message| Some(PathBuf::from(message["executable"].as_str()?)));
+        command.args(["test", "--locked", "--no-run", "--package", &required.package, "--test", &required.program]);
+        command.args(["--quiet", "--message-format", "json-render-diagnostics"]);
+        let text = output_of(&mut command).with_context(|| format!("{} does not build", required.patch))?;
+        let messages = text.lines().filter_map(|line| serde_json::from_str(line).ok());
+        let mut programs = messages.filter_map(|message| artifact(&message));
+        let program = programs.find(|(is_test, program)| *is_test && program.target == required.program);
+        let program = program.map(|(_, program)| program.path);
         program.with_context(|| format!("cargo has not built the test {} {}", required.package, required.program))
     }
 
@@ -137,7 +119,7 @@ impl Proof {
     fn run(&self, program: &Path, required: &Required) -> anyhow::Result<(Colour, f64)> {
         let begin = Instant::now();
         let mut command = Command::new(program);
-        command.args(["--exact", required.test]).current_dir(&self.scratch.tree).stdin(Stdio::null());
+        command.args(["--exact", &required.test]).current_dir(&self.scratch.tree).stdin(Stdio::null());
         let output = command.output().with_context(|| format!("cannot start {}", program.display()))?;
         let text = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes).into_owned()).concat();
         Ok((Colour::of(&text, output.status.success()), begin.elapsed().as_secs_f64()))
@@ -176,19 +158,8 @@ mod tests {
         let ok = "test result: ok. 1 passed; 0 failed; 0 ignored";
         assert_eq!(Colour::of(ok, true), Colour::Green);
         assert_eq!(Colour::of("test result: FAILED. 0 passed; 1 failed; 0 ignored", false), Colour::Red);
-        assert_eq!(Colour::of("test result: ok. 0 passed; 0 failed; 0 ignored; 9 filtered out", true), Colour::Grey);
-        assert_eq!(Colour::of(&format!("NOT CHECKED: a: late\n{ok}"), true), Colour::Grey);
-        assert_eq!(Colour::of("", false), Colour::Grey);
-    }
-
-    #[test]
-    fn each_required_test_has_a_patch() {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(PATCHES);
-        let mut there: Vec<String> =
-            std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
-        let mut wanted: Vec<String> = REQUIRED.iter().map(|required| required.patch.to_owned()).collect();
-        there.sort();
-        wanted.sort();
-        assert_eq!(there, wanted);
+        assert_eq!(Colour::of("test result: ok. 0 passed; 0 failed; 0 ignored; 9 filtered out", true), Colour::Unknown);
+        assert_eq!(Colour::of(&format!("NOT CHECKED: a: late\n{ok}"), true), Colour::Unknown);
+        assert_eq!(Colour::of("", false), Colour::Unknown);
     }
 }

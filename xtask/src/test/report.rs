@@ -121,6 +121,16 @@ impl Report {
         [punctual().map(|run| run.unchecked().len()).sum(), punctual().map(|run| run.passed + run.failed).sum()]
     }
 
+    /// The slowest runs.
+    pub fn slowest(&self) -> String {
+        const ROWS: usize = 20;
+        let mut runs: Vec<&Run> = self.programs.iter().collect();
+        runs.sort_by_key(|run| std::cmp::Reverse(run.took));
+        let row = |run: &&Run| format!("{:<48} {:>8.1}\n", run.name, run.took.as_secs_f64());
+        let rows: String = runs.iter().take(ROWS).map(row).collect();
+        format!("\n{:<48} {:>8}\n{rows}", "the slowest test programs", "run, s")
+    }
+
     /// Prints the tests that were not checked, and the counts on a separate line.
     pub fn tell(&self) {
         println!();

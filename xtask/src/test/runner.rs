@@ -1,4 +1,4 @@
-//! Runs test programs during the build.
+//! Runs test programs.
 
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
@@ -6,7 +6,7 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread::available_parallelism;
 use std::time::{Duration, Instant};
 
@@ -14,8 +14,9 @@ use anyhow::Context;
 use serde_json::Value;
 
 use super::report::{Report, Run};
-use super::scheduling::{LowSession, Precedence};
-use super::{Built, Plan, Selection, build::Program, notebook};
+use super::scheduling::Precedence;
+use super::{Plan, build::Program, notebook};
+use crate::files::create_folder;
 use crate::workspace::Workspace;
 
 /// The module of the tests that must run in real time.
@@ -46,6 +47,14 @@ enum Part {
     Others,
 }
 
+/// Use of the processors by tests in real time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    Sleeps,
+    Computes,
+    Alone,
+}
+
 /// A test program to run.
 #[derive(Clone, Debug)]
 struct Job {
@@ -63,29 +72,24 @@ impl Job {
         self.part == Part::Punctual || self.program.target == ALONE
     }
 
-    fn computes(&self) -> bool {
-        COMPUTING.contains(&self.program.package.as_str())
+    fn kind(&self) -> Kind {
+        match self.program.package.as_str() {
+            _ if self.program.target == ALONE => Kind::Alone,
+            package if COMPUTING.contains(&package) => Kind::Computes,
+            _ => Kind::Sleeps,
+        }
+    }
+
+    /// The precedence that it needs beside the other tests.
+    fn least_precedence(&self) -> Precedence {
+        if self.kind() == Kind::Computes { Precedence::Class } else { Precedence::Priority }
     }
 }
 
-#[derive(Default)]
-struct State {
-    others: Vec<Job>,
-    punctual: Vec<Job>,
-    is_building: bool,
-    running_punctual: usize,
-    running_others: usize,
-}
-
-/// Runs test programs as they are built: the real-time tests under their lock, the others on all processors that the build
-/// does not use.
-pub struct Runner {
-    state: Mutex<State>,
-    changed: Condvar,
-    /// Priority of real-time tests.
-    pub precedence: Precedence,
-    long: Selection,
-    filter: Option<String>,
+/// Runs the test programs: the tests in real time under their lock, the others on all processors.
+pub struct Runner<'a> {
+    plan: &'a Plan,
+    precedence: Precedence,
     /// Duration of each run last time, s.
     before: BTreeMap<String, f64>,
     notebook: PathBuf,
@@ -96,155 +100,72 @@ fn of<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl Runner {
+impl<'a> Runner<'a> {
     /// Reads the durations of the last run.
     ///
     /// # Errors
     /// If the target folder is unknown or cannot be written.
-    pub fn new(workspace: &Workspace, plan: &Plan) -> anyhow::Result<(Self, Report)> {
+    pub fn new(workspace: &Workspace, plan: &'a Plan, precedence: Precedence) -> anyhow::Result<Self> {
         let notebook = notebook(&workspace.target_folder()?);
-        fs::create_dir_all(&notebook).with_context(|| format!("cannot create {}", notebook.display()))?;
+        create_folder(&notebook)?;
         let before = fs::read_to_string(notebook.join("durations.json")).ok();
-        let runner = Self {
-            state: Mutex::new(State { is_building: true, ..State::default() }),
-            changed: Condvar::new(),
-            precedence: Precedence::find(),
-            long: plan.long.clone(),
-            filter: plan.filter.clone(),
-            before: before.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default(),
-            notebook,
-            outputs: AtomicUsize::new(0),
-        };
-        Ok((runner, Report::default()))
+        let before = before.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default();
+        Ok(Self { plan, precedence, before, notebook, outputs: AtomicUsize::new(0) })
     }
 
-    /// Builds, runs the built programs meanwhile, and waits for all of them.
+    /// Runs all programs, the longest first. Of the tests in real time, one program that computes and one that mostly sleeps run at a
+    /// time, and then what must run without the others. Without a priority each of these waits for the end of all others.
     ///
     /// # Errors
-    /// If the build fails; programs that are already built run to their ends.
-    pub fn run(
-        &self,
-        build: impl FnOnce(&Self) -> anyhow::Result<Built>,
-        report: &mut Report,
-    ) -> anyhow::Result<Built> {
-        let processors = available_parallelism().map_or(1, usize::from);
-        let report = Mutex::new(report);
-        let _low = LowSession::enter();
-        let built = std::thread::scope(|scope| {
-            for computing in [true, false] {
-                let report = &report;
-                scope.spawn(move || {
-                    while let Some(job) = self.next_punctual(computing) {
-                        self.work(&job, report)
+    /// If the durations cannot be saved.
+    pub fn run(&self, programs: &[Program], report: &mut Report) -> anyhow::Result<()> {
+        let (punctual, mut others): (Vec<Job>, Vec<Job>) =
+            self.jobs(programs).into_iter().partition(|job| job.is_punctual());
+        let (beside, later): (Vec<Job>, Vec<Job>) =
+            punctual.into_iter().partition(|job| self.precedence >= job.least_precedence());
+        others.reverse();
+        let others = Mutex::new(others);
+        let shared = Mutex::new(&mut *report);
+        let next = || of(&others).pop();
+        let work = |job: &Job| self.work(job, &shared);
+        let lane = |kind: Kind| beside.iter().filter(move |job| job.kind() == kind).for_each(work);
+        std::thread::scope(|scope| {
+            for _ in 0..available_parallelism().map_or(1, usize::from) {
+                scope.spawn(|| {
+                    while let Some(job) = next() {
+                        work(&job);
                     }
                 });
             }
-            for place in 0..processors {
-                let report = &report;
-                scope.spawn(move || {
-                    while let Some(job) = self.next_other(place) {
-                        self.work(&job, report);
-                    }
-                });
-            }
-            let begin = Instant::now();
-            let built = build(self);
-            let mut state = of(&self.state);
-            state.is_building = false;
-            println!(
-                "build ended after {:.0} s; {} test programs run, {} wait: each gets a line when it ends, the longest ones began first",
-                begin.elapsed().as_secs_f64(),
-                state.running_others + state.running_punctual,
-                state.others.len() + state.punctual.len()
-            );
-            if built.is_err() {
-                (state.others, state.punctual) = (Vec::new(), Vec::new());
-            }
-            drop(state);
-            self.changed.notify_all();
-            built
-        })?;
-        let report = report.into_inner().unwrap_or_else(PoisonError::into_inner);
-        self.remember(report)?;
-        Ok(built)
+            std::thread::scope(|inner| {
+                inner.spawn(|| lane(Kind::Computes));
+                lane(Kind::Sleeps);
+            });
+            lane(Kind::Alone);
+        });
+        later.iter().for_each(work);
+        self.remember(report)
     }
 
-    /// Queues a built program.
-    pub fn ready(&self, program: Program) {
-        // With a filter, the few matching tests wait for each other where necessary.
-        let has_both = self.filter.is_none()
-            && program.kind == "test"
-            && list(&program).lines().any(|line| line.starts_with(REAL_TIME));
-        let job = |part| Job { program: program.clone(), part };
-        let mut state = of(&self.state);
-        if program.target == ALONE {
-            state.punctual.push(job(Part::All));
-        } else if has_both {
-            state.punctual.push(job(Part::Punctual));
-            state.others.push(job(Part::Others));
-        } else {
-            state.others.push(job(Part::All));
-        }
-        drop(state);
-        self.changed.notify_all();
-    }
-
-    /// The next job of the other tests. During a build they use one processor only.
-    fn next_other(&self, place: usize) -> Option<Job> {
-        let mut state = of(&self.state);
-        loop {
-            let may_run = place == 0 || !state.is_building;
-            if may_run && let Some(index) = self.longest(&state.others, |_| true) {
-                state.running_others += 1;
-                return Some(state.others.remove(index));
-            }
-            if !state.is_building && state.others.is_empty() {
-                return None;
-            }
-            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
-        }
-    }
-
-    /// The next job of real-time tests: one program that computes and one that mostly sleeps at a time, and at the end what must run
-    /// without other real-time tests. Without a priority each waits for the end of all others.
-    fn next_punctual(&self, computing: bool) -> Option<Job> {
-        let mut state = of(&self.state);
-        loop {
-            let is_free = !state.is_building && state.running_punctual == 0;
-            let is_quiet = is_free && state.others.is_empty() && state.running_others == 0;
-            let is_end = is_free && state.punctual.iter().all(|job| job.program.target == ALONE);
-            let may_run = |job: &Job| {
-                let least = if job.computes() { Precedence::Priority } else { Precedence::None };
-                let is_in_turn = job.program.target != ALONE || is_end;
-                job.computes() == computing && is_in_turn && (is_quiet || self.precedence > least)
-            };
-            if let Some(index) = self.longest(&state.punctual, may_run) {
-                state.running_punctual += 1;
-                return Some(state.punctual.remove(index));
-            }
-            if !state.is_building && state.punctual.iter().all(|job| job.computes() != computing) {
-                return None;
-            }
-            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
-        }
-    }
-
-    /// The longest job of those that may run, by its last duration; an unknown job counts as long.
-    fn longest(&self, jobs: &[Job], may_run: impl Fn(&Job) -> bool) -> Option<usize> {
-        let seconds = |index: &usize| self.before.get(&jobs[*index].name()).copied().unwrap_or(60.0);
-        let due = (0..jobs.len()).filter(|index| may_run(&jobs[*index]));
-        due.max_by(|left, right| seconds(left).total_cmp(&seconds(right)))
+    /// The runs of all programs, the longest first by their last durations; an unknown one counts as long.
+    fn jobs(&self, programs: &[Program]) -> Vec<Job> {
+        let of_program = |program: &Program| {
+            // With a filter, the few matching tests wait for each other where necessary.
+            let has_both = self.plan.filter.is_none()
+                && program.kind == "test"
+                && program.target != ALONE
+                && list(program).lines().any(|line| line.starts_with(REAL_TIME));
+            let parts: &[Part] = if has_both { &[Part::Punctual, Part::Others] } else { &[Part::All] };
+            parts.iter().map(|part| Job { program: program.clone(), part: *part }).collect::<Vec<_>>()
+        };
+        let mut jobs: Vec<Job> = programs.iter().flat_map(of_program).collect();
+        let seconds = |job: &Job| self.before.get(&job.name()).copied().unwrap_or(60.0);
+        jobs.sort_by(|left, right| seconds(right).total_cmp(&seconds(left)));
+        jobs
     }
 
     fn work(&self, job: &Job, report: &Mutex<&mut Report>) {
         let run = self.run_program(job);
-        let mut state = of(&self.state);
-        match job.is_punctual() {
-            true => state.running_punctual -= 1,
-            false => state.running_others -= 1,
-        }
-        drop(state);
-        self.changed.notify_all();
         // A program without tests gets no line.
         if run.passed + run.failed + run.ignored > 0 {
             of(report).add(run);
@@ -277,7 +198,7 @@ impl Runner {
         let mut command = Command::new(words.next().unwrap_or_default());
         command.args(words).current_dir(folder).env("CARGO_MANIFEST_DIR", folder).env("CARGO_PKG_NAME", package);
         command.env_remove(LONG_TESTS);
-        if self.long.has(package) {
+        if self.plan.long.has(package) {
             command.env(LONG_TESTS, "1");
         }
         match job.part {
@@ -289,7 +210,7 @@ impl Runner {
                 command.args(["--skip", REAL_TIME]);
             }
         }
-        command.args(self.filter.as_ref());
+        command.args(self.plan.filter.as_ref());
         let file = File::create(output).with_context(|| format!("cannot write {}", output.display()))?;
         command.stdin(Stdio::null()).stderr(file.try_clone()?).stdout(file);
         Ok(command)
@@ -348,4 +269,58 @@ fn list(program: &Program) -> String {
     let output =
         Command::new(&program.path).args(["--list", "--format", "terse"]).current_dir(&program.folder).output();
     output.map(|output| String::from_utf8_lossy(&output.stdout).into_owned()).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::files::write;
+    use crate::test::Selection;
+    use crate::workspace::output_of;
+
+    /// A test program that notes its arguments, with a test in real time and another one.
+    fn program(folder: &Path, package: &str, target: &str, result: &str) -> Program {
+        let (path, log) = (folder.join(format!("{package}-{target}")), folder.join("log"));
+        let list = "real_time::a: test\nb: test";
+        let text = format!(
+            "#!/bin/sh\nif [ \"$1\" = --list ]; then printf '{list}'; exit; fi\n\
+             echo \"{package} {target} $@\" >> {}\necho '{result}'\n",
+            log.display()
+        );
+        write(&path.with_extension("sh"), &text).unwrap();
+        // Another process writes the program: Linux executes no file that a process of another test may still hold open (ETXTBSY).
+        output_of(Command::new("install").args(["-m", "755"]).arg(path.with_extension("sh")).arg(&path)).unwrap();
+        let (package, target, kind) = (package.to_owned(), target.to_owned(), "test".to_owned());
+        Program { package, target, kind, path, folder: folder.to_path_buf() }
+    }
+
+    #[test]
+    fn tests_in_real_time_run_by_themselves_and_those_alone_at_the_end() {
+        let folder = std::env::temp_dir().join(format!("pb3dp-runner-{}", std::process::id()));
+        let good = "test result: ok. 1 passed; 0 failed; 0 ignored";
+        let programs = [
+            program(&folder, "pb3dp-panel", "integration", good),
+            program(&folder, "pb3dp-arm-pa10", "alone", "test result: FAILED. 0 passed; 1 failed; 0 ignored"),
+        ];
+        let plan = Plan { packages: Selection::Everything, long: Selection::Everything, filter: None };
+        for precedence in [Precedence::None, Precedence::Priority, Precedence::Class] {
+            let (before, notebook) = (BTreeMap::new(), folder.clone());
+            let runner = Runner { plan: &plan, precedence, before, notebook, outputs: AtomicUsize::new(0) };
+            let mut report = Report::default();
+            runner.run(&programs, &mut report).unwrap();
+            let log = fs::read_to_string(folder.join("log")).unwrap();
+            let runs: Vec<&str> = log.lines().map(str::trim_end).collect();
+            let place =
+                |run: &str| runs.iter().position(|found| *found == run).unwrap_or_else(|| panic!("{run}: {log}"));
+            let others = place("pb3dp-panel integration --skip real_time::");
+            let real_time = place("pb3dp-panel integration real_time:: --test-threads 4");
+            let alone = place("pb3dp-arm-pa10 alone");
+            assert!(runs.len() == 3 && (precedence > Precedence::None || alone > others), "{log}");
+            assert!(precedence == Precedence::Priority || alone > real_time, "{precedence:?}: {log}");
+            assert!(precedence == Precedence::Class || real_time > others, "{precedence:?}: {log}");
+            assert_eq!((report.counts()[..2].to_vec(), report.real_time_counts()), (vec![2, 1], [0, 2]));
+            fs::remove_file(folder.join("log")).unwrap();
+        }
+        fs::remove_dir_all(&folder).unwrap();
+    }
 }

@@ -16,7 +16,7 @@ pub enum Precedence {
     None,
     /// Over all normal programs, if their threads get a SCHED_FIFO priority. Whole programs, which compute, wait for all others.
     Priority,
-    /// Over the build and the other tests, which run in the class SCHED_IDLE, as also the kernel threads that carry bytes to a
+    /// Over the other tests, which run in the class SCHED_IDLE, as also the kernel threads that carry bytes to a
     /// terminal have priority over these.
     Class,
 }
@@ -39,7 +39,7 @@ impl Precedence {
         }
     }
 
-    /// Prefix of the build command.
+    /// Prefix of a build beside the tests.
     pub fn of_build(self) -> &'static [&'static str] {
         match self {
             Self::Class => IDLE,

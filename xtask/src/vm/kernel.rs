@@ -7,14 +7,13 @@ use std::process::{Command, Stdio};
 use anyhow::{Context, bail};
 
 use super::modules::unpacked;
-use crate::apt::{apt_get, is_root, output_of};
+use crate::apt::{apt_get, is_root};
+use crate::files::{create_folder, read, remove_folder};
 use crate::not_possible::NotPossible;
+use crate::workspace::output_of;
 
 /// The metapackage that depends on the current kernel: the name of the kernel's package changes with every update.
 const METAPACKAGE: &str = "linux-image-amd64";
-
-/// The oldest kernel with which the tests are known to work: major, minor.
-const OLDEST: [u32; 2] = [6, 1];
 
 /// Parts of the kernel that are kept; all modules would be 400 MB.
 const MODULE_FOLDERS: [&str; 10] = [
@@ -30,6 +29,9 @@ const MODULE_FOLDERS: [&str; 10] = [
     "drivers/media/v4l2-core",
 ];
 
+/// Folder of the kept kernel in the cache.
+const KEPT: &str = "kernel";
+
 /// File in the folder of a kept kernel with the list of its parts.
 const PARTS: &str = "parts";
 
@@ -41,8 +43,6 @@ pub struct Kernel {
     pub modules: PathBuf,
     /// Release, such as `6.1.0-56-amd64`.
     pub release: String,
-    /// Name and version of its package.
-    pub package: String,
 }
 
 impl Kernel {
@@ -51,58 +51,29 @@ impl Kernel {
     /// # Errors
     /// [`NotPossible`] if there is none and none can be fetched; otherwise if it cannot be unpacked.
     pub fn get(cache: &Path, renews: bool) -> anyhow::Result<Self> {
-        if !renews && let Some(kernel) = kept(cache)? {
-            return Ok(kernel);
+        let kept = cache.join(KEPT);
+        // A kernel with other parts than needed now does not count.
+        if !renews && read(&kept.join(PARTS)).is_ok_and(|parts| parts == MODULE_FOLDERS.join("\n")) {
+            return Self::open(&kept);
         }
         let scratch = cache.join("new");
-        if scratch.exists() {
-            fs::remove_dir_all(&scratch).context("cannot remove the folder of an interrupted run")?;
-        }
-        fs::create_dir_all(&scratch).with_context(|| format!("cannot create {}", scratch.display()))?;
+        remove_folder(&scratch)?;
+        create_folder(&scratch)?;
         let package = newest_package()?;
         println!("fetching {package}");
         let file = download(&package, &scratch)?;
-        let version = output_of(Command::new("dpkg-deb").args(["--field"]).arg(&file).arg("Version"))?;
         unpack(&file, &scratch)?;
         fs::remove_file(&file)?;
-        let folder = cache.join(format!("kernel_{package}_{}", version.trim().replace([':', '/'], "_")));
-        if folder.exists() {
-            fs::remove_dir_all(&folder)?;
-        }
+        remove_folder(&kept)?;
         // Complete or not at all.
-        fs::rename(&scratch, &folder).context("cannot move the new kernel to its folder")?;
-        Self::open(&folder)
+        fs::rename(&scratch, &kept).context("cannot move the new kernel to its folder")?;
+        Self::open(&kept)
     }
 
     fn open(folder: &Path) -> anyhow::Result<Self> {
-        let package = folder.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-        let package = package.trim_start_matches("kernel_").replacen('_', " ", 1);
-        let release = fs::read_to_string(folder.join("release")).context("the name of the kernel")?;
-        Ok(Self { image: folder.join("image"), modules: folder.join("modules"), release, package })
+        let release = read(&folder.join("release"))?;
+        Ok(Self { image: folder.join("image"), modules: folder.join("modules"), release })
     }
-}
-
-/// The newest kept kernel. A kernel with other parts than needed now does not count.
-fn kept(cache: &Path) -> anyhow::Result<Option<Kernel>> {
-    if !cache.is_dir() {
-        return Ok(None);
-    }
-    let mut folders = Vec::new();
-    for entry in fs::read_dir(cache)? {
-        let path = entry?.path();
-        let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-        let has_all = fs::read_to_string(path.join(PARTS)).is_ok_and(|parts| parts == MODULE_FOLDERS.join("\n"));
-        if let Some(numbers) = name.strip_prefix("kernel_").filter(|_| has_all).map(numbers) {
-            folders.push((numbers, path));
-        }
-    }
-    folders.sort();
-    folders.pop().map(|(_, path)| Kernel::open(&path)).transpose()
-}
-
-/// All numbers in a name, which order the kernels.
-fn numbers(name: &str) -> Vec<u32> {
-    name.split(|letter: char| !letter.is_ascii_digit()).filter_map(|part| part.parse().ok()).collect()
 }
 
 /// Name of the package that the metapackage depends on.
@@ -113,15 +84,7 @@ fn newest_package() -> anyhow::Result<String> {
         let _ = output_of(apt_get().arg("update"));
         found = needed_package();
     }
-    let package = found?;
-    let version = numbers(&package);
-    if version.as_slice() < OLDEST.as_slice() {
-        let [major, minor] = OLDEST;
-        return Err(NotPossible::because(format!(
-            "{METAPACKAGE} is {package}, but the tests need {major}.{minor} or later"
-        )));
-    }
-    Ok(package)
+    found
 }
 
 fn needed_package() -> anyhow::Result<String> {
@@ -186,7 +149,7 @@ fn keep_image(packed: &Path, folder: &Path) -> anyhow::Result<()> {
         Some(payload) if payload.starts_with(b"\xfd7zXZ\0") => {
             let file = folder.join("payload");
             fs::write(&file, payload)?;
-            let image = unpacked_stream(&file)?;
+            let image = unpacked("xz", &file)?;
             fs::remove_file(&file)?;
             image
         }
@@ -194,14 +157,6 @@ fn keep_image(packed: &Path, folder: &Path) -> anyhow::Result<()> {
     };
     fs::write(folder.join("image"), image).context("cannot write the kernel")?;
     fs::remove_file(packed).context("cannot remove the packed kernel")
-}
-
-/// The length of the kernel follows the packed stream; `xz` would report it as damage, so it is cut off first.
-fn unpacked_stream(file: &Path) -> anyhow::Result<Vec<u8>> {
-    let whole = fs::read(file)?;
-    let end = whole.len().saturating_sub(4);
-    fs::write(file, &whole[..end])?;
-    unpacked("xz", file)
 }
 
 /// Position of the packed kernel in its file, from the header of the boot protocol (Linux, Documentation/arch/x86/boot.rst, 2.08 and later).
@@ -229,9 +184,6 @@ mod tests {
         for other in ["", "linux-image-amd64\n", "linux-image-amd64\n  Depends: linux-image-amd64\n Depends: kmod"] {
             assert_eq!(image_of(other), None, "{other}");
         }
-        assert!(numbers("linux-image-6.1.0-56-amd64") >= OLDEST.to_vec());
-        assert!(numbers("linux-image-5.10.0-30-amd64") < OLDEST.to_vec());
-        assert!(numbers("kernel_linux-image-6.12.1_6.12.1-1") > numbers("kernel_linux-image-6.9.7_6.9.7-1"));
     }
 
     #[test]

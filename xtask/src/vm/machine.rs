@@ -11,7 +11,8 @@ use anyhow::{Context, bail};
 
 use super::control::Control;
 use super::suites::Suite;
-use crate::apt::{need, output_of};
+use crate::apt::need;
+use crate::workspace::output_of;
 
 const QEMU: &str = "qemu-system-x86_64";
 const PACKAGE: &str = "qemu-system-x86";
@@ -26,27 +27,8 @@ const LIMIT: Duration = Duration::from_secs(600);
 /// a suite takes longer and gets the same results.
 ///
 /// The default firmware waits for USB devices, which costs as much as the kernel's start; the small one starts the kernel at once.
-const COMPUTER: [&str; 19] = [
-    "-icount",
-    "shift=0,sleep=off",
-    "-bios",
-    "qboot.rom",
-    "-accel",
-    "tcg",
-    "-smp",
-    "1",
-    "-m",
-    "512",
-    "-nodefaults",
-    "-no-user-config",
-    "-no-reboot",
-    "-display",
-    "none",
-    "-serial",
-    "stdio",
-    "-rtc",
-    "base=utc",
-];
+const COMPUTER: &str = "-icount shift=0,sleep=off -bios qboot.rom -accel tcg -smp 1 -m 512 -nodefaults -no-user-config \
+    -no-reboot -display none -serial stdio -rtc base=utc";
 
 /// Kernel messages stay off the console, where they would mix with the lines of the tests; the guest shows them if a test fails.
 const KERNEL_ARGUMENTS: &str = "console=ttyS0 quiet loglevel=1 panic=-1";
@@ -77,10 +59,18 @@ impl Machine {
     pub fn start(qemu: &Path, kernel: &Path, disk: &Path, suite: &Suite, folder: &Path) -> anyhow::Result<Self> {
         let socket = folder.join("control");
         let mut command = Command::new(qemu);
-        command.args(COMPUTER).args(["-cpu", suite.processor]).arg("-kernel").arg(kernel).arg("-initrd").arg(disk);
+        command
+            .args(COMPUTER.split_whitespace())
+            .args(["-cpu", suite.processor])
+            .arg("-kernel")
+            .arg(kernel)
+            .arg("-initrd")
+            .arg(disk);
         command.arg("-append").arg(format!("{KERNEL_ARGUMENTS} {} -- {}", suite.kernel_arguments, suite.name));
         command.arg("-qmp").arg(format!("unix:{},server=on,wait=off", socket.display()));
-        command.args(suite.fixed.iter().map(|text| text.replace("FOLDER", &folder.display().to_string())));
+        for (option, value) in suite.fixed.iter().filter_map(|text| text.split_once(' ')) {
+            command.arg(option).arg(value.replace("FOLDER", &folder.display().to_string()));
+        }
         for device in suite.pluggable {
             command.arg("-device").arg(format!("{},id={}", device.what, device.name));
         }

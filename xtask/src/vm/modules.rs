@@ -5,6 +5,8 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, bail};
 
+use crate::files;
+
 /// A module to load.
 pub struct Module {
     /// Name, with underscores.
@@ -18,7 +20,7 @@ pub struct Module {
 /// # Errors
 /// If the kernel has no such module, or it cannot be read.
 pub fn closure(folder: &Path, wanted: &[&str], by_hand: &[&str]) -> anyhow::Result<(Vec<Module>, Vec<Module>)> {
-    let files = files(folder)?;
+    let files = files::all(folder)?;
     let mut at_start = Vec::new();
     for name in wanted {
         add(&files, name, &mut at_start, 0)?;
@@ -79,23 +81,13 @@ fn needs(content: &[u8]) -> Vec<String> {
 pub fn unpacked(program: &str, path: &Path) -> anyhow::Result<Vec<u8>> {
     let mut command = Command::new(program);
     command.args(["--decompress", "--stdout"]).arg(path).stdin(Stdio::null());
+    // The length of a kernel follows its packed stream, which `xz` would report as damage.
+    command.args((program == "xz").then_some("--single-stream"));
     let output = command.output().with_context(|| format!("cannot start {program}: install it"))?;
     if !output.status.success() {
         bail!("{program} cannot unpack {}: {}", path.display(), String::from_utf8_lossy(&output.stderr).trim_end());
     }
     Ok(output.stdout)
-}
-
-fn files(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
-    let (mut files, mut folders) = (Vec::new(), vec![folder.to_path_buf()]);
-    while let Some(folder) = folders.pop() {
-        for entry in std::fs::read_dir(&folder).with_context(|| format!("cannot list {}", folder.display()))? {
-            let path = entry?.path();
-            if path.is_dir() { folders.push(path) } else { files.push(path) }
-        }
-    }
-    files.sort();
-    Ok(files)
 }
 
 /// `arc_rimi` of `arc-rimi.ko.xz`.

@@ -20,7 +20,7 @@ pub struct Suite {
     pub modules_by_hand: &'static [&'static str],
     /// Arguments of the kernel.
     pub kernel_arguments: &'static str,
-    /// Options of QEMU; FOLDER is the folder of its sockets.
+    /// Options of QEMU with their values; FOLDER is the folder of its sockets.
     pub fixed: &'static [&'static str],
     /// Devices that the program may unplug.
     pub pluggable: &'static [Device],
@@ -50,16 +50,11 @@ pub const SUITES: [Suite; 5] = [
         kernel_arguments: "",
         // Two adapters at the ends of one cable, and a built-in port without connection.
         fixed: &[
-            "-device",
-            "qemu-xhci,id=usb",
-            "-chardev",
-            "socket,id=cable-host,path=FOLDER/cable,server=on,wait=off",
-            "-chardev",
-            "socket,id=cable-gateway,path=FOLDER/cable,reconnect=1",
-            "-chardev",
-            "null,id=nowhere",
-            "-device",
-            "isa-serial,chardev=nowhere,index=1",
+            "-device qemu-xhci,id=usb",
+            "-chardev socket,id=cable-host,path=FOLDER/cable,server=on,wait=off",
+            "-chardev socket,id=cable-gateway,path=FOLDER/cable,reconnect=1",
+            "-chardev null,id=nowhere",
+            "-device isa-serial,chardev=nowhere,index=1",
         ],
         pluggable: &[
             Device { name: "host", what: "usb-serial,bus=usb.0,chardev=cable-host,serial=HOST" },
@@ -78,7 +73,7 @@ pub const SUITES: [Suite; 5] = [
         // Memory that the kernel does not use serves as a card, which the program also reads and writes.
         kernel_arguments: "memmap=1M$0x10000000 iomem=relaxed",
         // A port with the card's interrupt.
-        fixed: &["-chardev", "null,id=nowhere", "-device", "isa-serial,chardev=nowhere,index=1"],
+        fixed: &["-chardev null,id=nowhere", "-device isa-serial,chardev=nowhere,index=1"],
         pluggable: &[],
     },
     Suite {
@@ -113,16 +108,11 @@ const RIG: Suite = Suite {
     kernel_arguments: "no_timer_check",
     // Two adapters at the ends of each of two cables.
     fixed: &[
-        "-device",
-        "qemu-xhci,id=usb",
-        "-chardev",
-        "socket,id=cable-1,path=FOLDER/cable1,server=on,wait=off",
-        "-chardev",
-        "socket,id=cable-far-1,path=FOLDER/cable1,reconnect=1",
-        "-chardev",
-        "socket,id=cable-2,path=FOLDER/cable2,server=on,wait=off",
-        "-chardev",
-        "socket,id=cable-far-2,path=FOLDER/cable2,reconnect=1",
+        "-device qemu-xhci,id=usb",
+        "-chardev socket,id=cable-1,path=FOLDER/cable1,server=on,wait=off",
+        "-chardev socket,id=cable-far-1,path=FOLDER/cable1,reconnect=1",
+        "-chardev socket,id=cable-2,path=FOLDER/cable2,server=on,wait=off",
+        "-chardev socket,id=cable-far-2,path=FOLDER/cable2,reconnect=1",
     ],
     pluggable: &[
         Device { name: "arm-1", what: "usb-serial,bus=usb.0,chardev=cable-1,serial=ARM1" },
