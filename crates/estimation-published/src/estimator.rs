@@ -7,11 +7,12 @@
 //! The paper defines no status. Here [`crate::observability`] evaluates every estimate. A target whose pixels have no hue is
 //! not searched.
 
+use nalgebra::Vector2;
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_range};
 use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose};
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, MarkedTarget};
-use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::plane_hypothesis::{PlaneHypothesis, SearchRange};
 use pb3dp_estimation_core::ranges;
 use pb3dp_estimation_core::region::RegionConfig;
 use pb3dp_estimation_core::status::{Status, Verdict};
@@ -21,24 +22,27 @@ use crate::fitness::FitnessConfig;
 use crate::hue::HueConfig;
 use crate::observability::{Landscape, ObservabilityConfig};
 use crate::photo_model::PhotoModelConfig;
+use crate::search::Found;
 use crate::search::rmga::{Population, RmGa, RmGaConfig};
 
 mod backprojection;
 mod core;
 mod front_end;
-mod model_frame;
 mod outline_fit;
 mod target;
 mod tracker;
 mod tracker_config;
 
-use self::core::{BestHypothesis, Core};
+use self::core::Core;
 pub use pb3dp_estimation_core::estimate::TrackEstimate;
 pub use tracker::PublishedTracker;
 pub use tracker_config::TrackerConfig;
 
 /// An estimate this close to an end of the depth range counts as being at the end, as a share of the range.
 const END_OF_RANGE_SHARE: f64 = 0.004;
+
+/// Reason of a search without any hypothesis that can be scored.
+const NO_HYPOTHESIS: &str = "every hypothesis of the search range is behind a camera: check the range";
 
 /// All parameters that the published method leaves open.
 #[derive(Clone, Debug, PartialEq)]
@@ -62,7 +66,7 @@ pub struct PublishedConfig {
     pub hue_support: HueSupportConfig,
     /// Parameters of region tracking and loss.
     pub tracker: TrackerConfig,
-    /// Whether an estimate also computes the best of all 2^24 chromosomes (about a second). Default false.
+    /// Whether an estimate also computes the best of all 2^24 chromosomes (tens of seconds). Default false.
     pub reference_optimum: bool,
 }
 
@@ -133,7 +137,7 @@ impl PublishedConfig {
         self.model.validate()?;
         self.fitness.validate()?;
         self.rmga.validate()?;
-        self.cold_start_rmga().validate()?;
+        check_range("RM-GA generations", self.cold_start.generations, RmGaConfig::GENERATIONS)?;
         self.observability.validate()?;
         self.tracker.validate()?;
         self.hue_support.validate()
@@ -142,11 +146,6 @@ impl PublishedConfig {
     /// The limits for estimates whose depth is roughly known from the previous frame.
     fn tracked_observability(&self) -> ObservabilityConfig {
         ObservabilityConfig { depth_spread_sure: self.tracker.depth_spread_sure, ..self.observability }
-    }
-
-    /// Parameters of the genetic algorithm for a cold start.
-    fn cold_start_rmga(&self) -> RmGaConfig {
-        RmGaConfig { generations: self.cold_start.generations, ..self.rmga }
     }
 }
 
@@ -178,7 +177,7 @@ impl PublishedEstimator {
         self.core.config()
     }
 
-    fn fill(&self, estimate: &mut PlaneEstimate, found: &BestHypothesis, landscape: &Landscape, range: &SearchRange) {
+    fn fill(&self, estimate: &mut PlaneEstimate, found: &Found, landscape: &Landscape, range: &SearchRange) {
         let Verdict { status, reason } = landscape.verdict(&self.core.config().observability);
         let pose = self.core.plane_pose(&found.psi, &estimate.centroid_px);
         estimate.pose = pose.filter(|_| status != Status::NotObservable);
@@ -213,11 +212,11 @@ impl EstimationMethod for PublishedEstimator {
             estimate.reason = reason;
             return Ok(estimate);
         }
-        let rmga_config = self.core.config().cold_start_rmga();
-        let mut rmga = RmGa::new(rmga_config, *range)?;
-        let mut population = Population::random(&rmga_config);
-        let Some(found) = self.core.search(&mut rmga, &mut population, deadline)? else {
-            estimate.reason = "every hypothesis of the search range is behind a camera: check the range".to_owned();
+        let PublishedConfig { rmga, cold_start, .. } = self.core.config();
+        let (mut population, generations) = (Population::random(rmga), cold_start.generations);
+        let mut rmga = RmGa::new(*rmga, *range)?;
+        let Some(found) = self.core.search(&mut rmga, &mut population, generations, deadline)? else {
+            estimate.reason = NO_HYPOTHESIS.to_owned();
             return Ok(estimate);
         };
         let landscape = self.core.survey(&found, range)?;
@@ -237,17 +236,13 @@ impl EstimationMethod for PublishedEstimator {
 /// Methods shared by estimator and tracker.
 impl Core {
     /// An empty estimate.
-    fn blank_estimate(&self, centroid_px: nalgebra::Vector2<f64>, warnings: Vec<EstimateWarning>) -> PlaneEstimate {
+    fn blank_estimate(&self, centroid_px: Vector2<f64>, warnings: Vec<EstimateWarning>) -> PlaneEstimate {
         let blank = PlaneEstimate::without_pose(Status::NotObservable, String::new(), centroid_px, *self.left_camera());
         PlaneEstimate { warnings, ..blank }
     }
 
     /// The plane of a hypothesis, with its depth on the ray of a raw pixel.
-    fn plane_pose(
-        &self,
-        psi: &pb3dp_estimation_core::plane_hypothesis::PlaneHypothesis,
-        raw_px: &nalgebra::Vector2<f64>,
-    ) -> Option<PlanePose> {
+    fn plane_pose(&self, psi: &PlaneHypothesis, raw_px: &Vector2<f64>) -> Option<PlanePose> {
         let q = psi.inverse_depth_plane(&self.pair().left_ray(&self.model_centre_px()))?;
         PlanePose::from_inverse_depth_plane(q, &self.left_camera().unproject(raw_px).ok()?)
     }

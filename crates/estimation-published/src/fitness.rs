@@ -5,9 +5,9 @@
 //! outer: +0.1 if |H_M - H_I| <= 20 degrees, else -2       (9)
 //! F = (sum inner + sum outer) / (2 N_in + 0.1 N_out)      (10)
 //! ```
-//! Votes are counted in tenths, so every score is an exact integer. Pixel addresses are rounded to the nearest pixel: in fixed
-//! point for rectified pairs, in single-precision IEEE arithmetic with a defined order for general ones. All kernels therefore
-//! give bit-identical results; [`Kernels`] selects one.
+//! Votes are counted in tenths, so every score is an exact integer. Every point reads the pixel nearest to its projection: its
+//! address is computed in fixed point for rectified pairs, in single-precision IEEE arithmetic with a defined order for general
+//! ones. All kernels therefore give bit-identical results; [`Kernels`] selects one.
 //!
 //! [`HueFitness`] holds the memory. [`HueFitness::prepare`] loads one frame and returns a [`PreparedFitness`], which scores any
 //! number of hypotheses from any number of threads.
@@ -21,15 +21,11 @@ use crate::hue::HuePlane;
 use crate::photo_model::PhotoModel;
 use crate::search::{PlaneScore, REFUSED};
 
-mod batch;
-mod general;
-mod kernels;
-mod points;
-mod rectified;
+mod kernel;
+mod projection;
 
-use batch::{BATCH, Counts, Frame};
-use points::PointSet;
-use rectified::{MatchTable, Window};
+use kernel::{Points, count};
+use projection::Projector;
 
 /// Largest image side that the fixed-point addresses support, pixels.
 const IMAGE_SIDE_MAX_PX: u32 = 8192;
@@ -99,10 +95,8 @@ pub struct Votes {
 pub struct HueFitness {
     config: FitnessConfig,
     kernels: Kernels,
-    inner: PointSet,
-    outer: PointSet,
-    matches: MatchTable,
-    seen: MatchTable,
+    inner: Points,
+    outer: Points,
 }
 
 impl HueFitness {
@@ -112,19 +106,7 @@ impl HueFitness {
     /// A parameter out of its range.
     pub fn new(config: FitnessConfig, kernels: Kernels) -> Result<Self, EstimationError> {
         config.validate()?;
-        Ok(Self {
-            config,
-            kernels,
-            inner: PointSet::default(),
-            outer: PointSet::default(),
-            matches: MatchTable::default(),
-            seen: MatchTable::default(),
-        })
-    }
-
-    /// The parameters.
-    pub fn config(&self) -> &FitnessConfig {
-        &self.config
+        Ok(Self { config, kernels, inner: Points::default(), outer: Points::default() })
     }
 
     /// Loads one frame: the model of the left image and the hues of the right image. Hypotheses outside `range` are rejected.
@@ -145,23 +127,12 @@ impl HueFitness {
         if inner.is_empty() && outer.is_empty() {
             return Err(EstimationError::EmptyModel { inner: inner.len(), outer: outer.len() });
         }
-        let frame = Frame::new(pair, model, *range);
-        self.inner.assign(inner, frame.origin());
-        self.outer.assign(outer, frame.origin());
-        let window = pair.is_rectified().then(|| Window::of(&frame, right.width()));
-        if let Some(window) = &window {
-            let sets = [&self.inner, &self.outer];
-            self.matches.build(self.kernels, window, right, self.config.tolerance_steps(), sets);
-            if self.config.unseen == Unseen::Abstain {
-                self.seen.build(self.kernels, window, right, SEEN_TOLERANCE, sets);
-            }
-        }
-        Ok(PreparedFitness { memory: self, frame, window, right })
+        let projector = Projector::new(pair, model, *range);
+        self.inner.assign(inner, projector.origin());
+        self.outer.assign(outer, projector.origin());
+        Ok(PreparedFitness { memory: self, projector, right })
     }
 }
-
-/// Every hue is within half a turn of every other: with this tolerance every pixel with a hue matches.
-const SEEN_TOLERANCE: u16 = 0x8000;
 
 fn check_right_image(pair: &PinholePair, right: &HuePlane) -> Result<(), EstimationError> {
     let expected = pair.right_size();
@@ -187,91 +158,48 @@ fn check_right_image(pair: &PinholePair, right: &HuePlane) -> Result<(), Estimat
 #[derive(Clone, Debug)]
 pub struct PreparedFitness<'a> {
     memory: &'a HueFitness,
-    frame: Frame,
-    /// `None` for a pair that is not rectified.
-    window: Option<Window>,
+    projector: Projector,
     right: &'a HuePlane,
 }
 
 impl PreparedFitness<'_> {
-    /// The first shift of the window, for rectified pairs.
-    fn first_shift(&self) -> Option<i32> {
-        self.window.as_ref().map(Window::first_shift)
-    }
-
     /// `F` of eq. (10) from a score; `None` for a rejected hypothesis.
     pub fn fitness(&self, score: i32) -> Option<f64> {
         (score != REFUSED).then(|| f64::from(score) / f64::from(self.score_max()))
     }
 
-    /// The score of `F = 1`: the denominator of eq. (10) in tenths.
-    pub fn score_max(&self) -> i32 {
-        20 * self.memory.inner.len() as i32 + self.memory.outer.len() as i32
-    }
-
-    /// The votes of one hypothesis; `None` if it is rejected. For reports and tests: it allocates, unlike
-    /// [`PlaneScore::score`].
+    /// The votes of one hypothesis; `None` if it is rejected.
     pub fn votes(&self, psi: &PlaneHypothesis) -> Option<Votes> {
-        let (mut matches, mut seen) = (Counts::default(), Counts::default());
-        let batch = self.frame.batch(std::slice::from_ref(psi), self.first_shift());
-        if batch.refused[0] {
-            return None;
-        }
-        self.count(&batch, self.memory.config.tolerance_steps(), &self.memory.matches, &mut matches);
-        let mut table = MatchTable::default();
-        if let Some(window) = &self.window {
-            table.build(
-                self.memory.kernels,
-                window,
-                self.right,
-                SEEN_TOLERANCE,
-                [&self.memory.inner, &self.memory.outer],
-            );
-        }
-        self.count(&batch, SEEN_TOLERANCE, &table, &mut seen);
-        Some(Votes {
-            inner_matches: matches.inner[0] as u32,
-            outer_matches: matches.outer[0] as u32,
-            inner_seen: seen.inner[0] as u32,
-            outer_seen: seen.outer[0] as u32,
-        })
-    }
-
-    fn count(&self, batch: &batch::Batch, tolerance: u16, table: &MatchTable, counts: &mut Counts) {
-        let HueFitness { kernels, inner, outer, .. } = self.memory;
-        if self.window.is_some() {
-            rectified::count(*kernels, table, [inner, outer], batch, counts);
-        } else {
-            general::count(*kernels, self.right, tolerance, [inner, outer], batch, counts);
-        }
+        let HueFitness { config, kernels, inner, outer } = self.memory;
+        let projection = self.projector.projection(psi)?;
+        let [inner, outer] =
+            [inner, outer].map(|points| count(*kernels, self.right, config.tolerance_steps(), points, &projection));
+        let ([inner_matches, inner_seen], [outer_matches, outer_seen]) = (inner, outer);
+        Some(Votes { inner_matches, outer_matches, inner_seen, outer_seen })
     }
 
     /// Sum of all votes of eqs (8) and (9) in tenths.
-    fn tenths(&self, matches: &Counts, seen: Option<&Counts>, lane: usize) -> i32 {
-        let (inner_matches, outer_matches) = (matches.inner[lane], matches.outer[lane]);
-        let (inner_voters, outer_voters) = match seen {
-            Some(seen) => (seen.inner[lane], seen.outer[lane]),
-            None => (self.memory.inner.len() as i32, self.memory.outer.len() as i32),
+    fn tenths(&self, votes: &Votes) -> i32 {
+        let HueFitness { config, inner, outer, .. } = self.memory;
+        let (inner_voters, outer_voters) = match config.unseen {
+            Unseen::Mismatch => (inner.len() as i32, outer.len() as i32),
+            Unseen::Abstain => (votes.inner_seen as i32, votes.outer_seen as i32),
         };
+        let (inner_matches, outer_matches) = (votes.inner_matches as i32, votes.outer_matches as i32);
         20 * inner_matches - 10 * (inner_voters - inner_matches) + outer_matches - 20 * (outer_voters - outer_matches)
     }
 }
 
 impl PlaneScore for PreparedFitness<'_> {
     fn score(&self, hypotheses: &[PlaneHypothesis], scores: &mut [i32]) {
-        let (mut matches, mut seen) = (Counts::default(), Counts::default());
-        for (hypotheses, scores) in hypotheses.chunks(BATCH).zip(scores.chunks_mut(BATCH)) {
-            let batch = self.frame.batch(hypotheses, self.first_shift());
-            self.count(&batch, self.memory.config.tolerance_steps(), &self.memory.matches, &mut matches);
-            let abstain = self.memory.config.unseen == Unseen::Abstain;
-            if abstain {
-                self.count(&batch, SEEN_TOLERANCE, &self.memory.seen, &mut seen);
-            }
-            for (lane, score) in scores.iter_mut().enumerate().take(hypotheses.len()) {
-                *score =
-                    if batch.refused[lane] { REFUSED } else { self.tenths(&matches, abstain.then_some(&seen), lane) };
-            }
+        for (psi, score) in hypotheses.iter().zip(scores) {
+            *score = self.votes(psi).map_or(REFUSED, |votes| self.tenths(&votes));
         }
+    }
+
+    /// The score of `F = 1`: the denominator of eq. (10) in tenths.
+    fn score_max(&self) -> i32 {
+        20 * self.memory.inner.len() as i32 + self.memory.outer.len() as i32
     }
 }
 

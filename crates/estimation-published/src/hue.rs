@@ -145,11 +145,6 @@ impl HuePlane {
         (bits & 1 == 1).then_some(Hue(bits))
     }
 
-    /// Number of pixels that have a hue.
-    pub fn valid_count(&self) -> usize {
-        self.data.iter().filter(|bits| **bits & 1 == 1).count()
-    }
-
     /// The pixels with their padding: pixel (u, v) is at `PAD + v * width + u`, padding has no hue.
     pub(crate) fn padded(&self) -> &[u16] {
         &self.data

@@ -75,7 +75,6 @@ pub struct PhotoModel {
     inner: Vec<ModelPoint>,
     outer: Vec<ModelPoint>,
     inner_sampled: usize,
-    outer_sampled: usize,
 }
 
 /// Work space of [`PhotoModel::resample`], kept between frames to avoid allocation.
@@ -110,7 +109,7 @@ impl PhotoModel {
     ) {
         self.inner.clear();
         self.outer.clear();
-        (self.inner_sampled, self.outer_sampled) = (0, 0);
+        self.inner_sampled = 0;
         let Some(centre_px) = region.centroid_px() else { return };
         self.centre_px = centre_px;
         let inner_grid = Grid::new(centre_px, region.area_px(), config.inner_points, config.spacing_min_px);
@@ -118,18 +117,36 @@ impl PhotoModel {
         if config.outer_points == 0 {
             return;
         }
-        dilate_into(region, config.band_gap_px, &mut scratch.near);
-        dilate_into(region, config.band_gap_px + config.band_width_px, &mut scratch.far);
+        region.dilate_into(config.band_gap_px, &mut scratch.near);
+        region.dilate_into(config.band_gap_px + config.band_width_px, &mut scratch.far);
         let band_area_px = scratch.far.area_px() - scratch.near.area_px();
         let outer_grid = Grid::new(centre_px, band_area_px, config.outer_points, config.spacing_min_px);
         let near = &scratch.near;
-        self.outer_sampled = outer_grid.sample(&scratch.far, |u, v| near.contains(u, v), hue, &mut self.outer);
+        outer_grid.sample(&scratch.far, |u, v| near.contains(u, v), hue, &mut self.outer);
     }
 
     /// A model from given points, for callers that select the points themselves.
     pub fn from_points(centre_px: Vector2<f64>, inner: Vec<ModelPoint>, outer: Vec<ModelPoint>) -> Self {
-        let (inner_sampled, outer_sampled) = (inner.len(), outer.len());
-        Self { centre_px, inner, outer, inner_sampled, outer_sampled }
+        Self { centre_px, inner_sampled: inner.len(), inner, outer }
+    }
+
+    /// The points of the model in `side` x `side` blocks of the box around its inner points; without the empty blocks.
+    pub fn blocks(&self, side: u32) -> Vec<Self> {
+        let extent = |of: fn(&ModelPoint) -> i32| {
+            let first = self.inner.iter().map(of).min().unwrap_or_default();
+            (first, self.inner.iter().map(of).max().unwrap_or_default() - first + 1)
+        };
+        let (columns, rows) = (extent(|p| p.u), extent(|p| p.v));
+        let side = side as i32;
+        let part =
+            |value: i32, (first, count): (i32, i32)| ((value - first) * side).div_euclid(count).clamp(0, side - 1);
+        let block_of = |point: &ModelPoint| (part(point.v, rows) * side + part(point.u, columns)) as usize;
+        let empty = Self::from_points(self.centre_px, Vec::new(), Vec::new());
+        let mut blocks = vec![empty; (side * side) as usize];
+        self.inner.iter().for_each(|point| blocks[block_of(point)].inner.push(*point));
+        self.outer.iter().for_each(|point| blocks[block_of(point)].outer.push(*point));
+        blocks.retain(|block| !(block.inner.is_empty() && block.outer.is_empty()));
+        blocks
     }
 
     /// The model's centre: centroid of the region's pixels in the left image.
@@ -150,11 +167,6 @@ impl PhotoModel {
     /// Grid points on the target, with or without hue.
     pub fn inner_sampled(&self) -> usize {
         self.inner_sampled
-    }
-
-    /// Grid points in the band, with or without hue.
-    pub fn outer_sampled(&self) -> usize {
-        self.outer_sampled
     }
 
     /// Share of the target's grid points with a hue, 0 to 1; 0 for an empty model. It is low on grey targets, for which this
@@ -210,18 +222,6 @@ impl Grid {
         let start = before.floor() as i32;
         (start..=start + steps).map(move |k| origin + (f64::from(k) * spacing_px).round() as i32)
     }
-}
-
-/// `RegionMask::dilate` into existing memory.
-fn dilate_into(mask: &RegionMask, radius_px: u32, grown: &mut RegionMask) {
-    grown.reset(mask.size());
-    let radius = i64::from(radius_px);
-    mask.for_each_run(|y, first, last| {
-        for dy in -radius..=radius {
-            let reach = ((radius * radius - dy * dy) as f64).sqrt() as i64;
-            grown.insert_span(i64::from(y) + dy, i64::from(first) - reach, i64::from(last) + reach);
-        }
-    });
 }
 
 #[cfg(test)]

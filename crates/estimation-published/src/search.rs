@@ -20,4 +20,16 @@ pub trait PlaneScore {
     /// The result for a hypothesis depends on this hypothesis only, not on its position in the batch. Does not allocate. Both
     /// slices have the same length; elements beyond the shorter one are not changed.
     fn score(&self, hypotheses: &[PlaneHypothesis], scores: &mut [i32]);
+
+    /// The highest possible score; the fitness is the score divided by it.
+    fn score_max(&self) -> i32;
+}
+
+/// A hypothesis and its fitness.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Found {
+    /// The hypothesis.
+    pub psi: PlaneHypothesis,
+    /// Its fitness.
+    pub fitness: f64,
 }

@@ -63,7 +63,7 @@ pub struct KernelResult {
     /// Scoring 60 hypotheses, including their preparation.
     pub ns_per_sample: f64,
     pub ns_per_sample_min: f64,
-    /// The same, with the frame's preparation (the match table of rectified pairs) divided among 9 generations.
+    /// The same, with the frame's preparation (copies of the points) divided among 9 generations.
     pub ns_per_sample_with_preparation: f64,
     pub frame: FrameTimes,
     pub frame_min_ms: f64,

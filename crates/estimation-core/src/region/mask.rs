@@ -171,6 +171,13 @@ impl RegionMask {
     /// Dilation: all pixels within `radius_px` (Euclidean, centre to centre) of a pixel in the mask, clipped to the image.
     pub fn dilate(&self, radius_px: u32) -> Self {
         let mut grown = Self::empty(self.size);
+        self.dilate_into(radius_px, &mut grown);
+        grown
+    }
+
+    /// As [`Self::dilate`], into the memory of another mask.
+    pub fn dilate_into(&self, radius_px: u32, grown: &mut Self) {
+        grown.reset(self.size);
         let radius = i64::from(radius_px);
         self.for_each_run(|y, first, last| {
             for dy in -radius..=radius {
@@ -178,7 +185,6 @@ impl RegionMask {
                 grown.insert_span(i64::from(y) + dy, i64::from(first) - reach, i64::from(last) + reach);
             }
         });
-        grown
     }
 
     /// Erosion: the pixels that are farther than `radius_px` (Euclidean, centre to centre) from every pixel outside the mask.

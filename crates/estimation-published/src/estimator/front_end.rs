@@ -3,7 +3,7 @@
 use image::RgbImage;
 use nalgebra::Vector2;
 use pb3dp_estimation_core::cpu::Kernels;
-use pb3dp_estimation_core::error::EstimationError;
+use pb3dp_estimation_core::error::{EstimationError, check_image_sizes};
 use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::plane_hypothesis::PinholePair;
 use pb3dp_estimation_core::region::RegionMask;
@@ -12,57 +12,44 @@ use pb3dp_geometry::{Camera, Distortion, ImageSize, StereoRig};
 
 use crate::hue::{HueConfig, HuePlane};
 
-/// One camera with its undistortion and the hue of its latest image.
-#[derive(Clone, Debug)]
-struct CameraInput {
-    name: &'static str,
-    camera: Camera,
-    /// Remap table and undistorted image, if the camera has distortion.
-    undistortion: Option<(RemapTable, RgbImage)>,
-    /// The image to undistort in one piece of 8-bit colour, if it is not yet.
-    whole: Vec<u8>,
-    hue: HuePlane,
-}
-
 /// Both cameras with their buffers; allocates only for the first pair.
 #[derive(Clone, Debug)]
 pub(super) struct FrontEnd {
+    rig: StereoRig,
+    pair: PinholePair,
     left: CameraInput,
     right: CameraInput,
-    pair: PinholePair,
     hue_config: HueConfig,
     kernels: Kernels,
 }
 
 impl FrontEnd {
     pub(super) fn new(rig: &StereoRig, hue_config: HueConfig, kernels: Kernels) -> Result<Self, EstimationError> {
-        hue_config.validate()?;
         let pair = PinholePair::from_rig(&rig.undistorted())?;
-        let (left, right) = (CameraInput::new("left", rig.left()), CameraInput::new("right", rig.right()));
-        Ok(Self { left, right, pair, hue_config, kernels })
+        let (left, right) = (CameraInput::new(rig.left()), CameraInput::new(rig.right()));
+        Ok(Self { rig: *rig, pair, left, right, hue_config, kernels })
+    }
+
+    /// Rejects images with a size other than the calibration's.
+    pub(super) fn check_sizes(&self, left: ImageView<'_>, right: ImageView<'_>) -> Result<(), EstimationError> {
+        check_image_sizes(&self.rig, left, right)
     }
 
     /// Loads a pair of raw images.
     pub(super) fn load(&mut self, left: ImageView<'_>, right: ImageView<'_>) -> Result<(), EstimationError> {
-        self.left.check_size(left)?;
-        self.right.check_size(right)?;
+        self.check_sizes(left, right)?;
         self.left.load(left, &self.hue_config, self.kernels)?;
         self.right.load(right, &self.hue_config, self.kernels)
     }
 
-    /// Rejects a left image with a size other than the calibration's.
-    pub(super) fn check_left_size(&self, left: ImageView<'_>) -> Result<(), EstimationError> {
-        self.left.check_size(left)
+    /// The rig of the raw images.
+    pub(super) fn rig(&self) -> &StereoRig {
+        &self.rig
     }
 
     /// Pinholes of the undistorted pair, and the transform between them.
     pub(super) fn pair(&self) -> &PinholePair {
         &self.pair
-    }
-
-    /// The left camera of the raw image.
-    pub(super) fn left_camera(&self) -> &Camera {
-        &self.left.camera
     }
 
     pub(super) fn left_hue(&self) -> &HuePlane {
@@ -84,46 +71,41 @@ impl FrontEnd {
         Ok(RegionMask::from_fn(size, |x, y| destination[(y * size.width + x) as usize] != 0))
     }
 
-    /// Maps a pixel of the raw left image to the undistorted one.
-    pub(super) fn undistort_pixel(&self, pixel: &Vector2<f64>) -> Result<Vector2<f64>, EstimationError> {
-        let ray = self.left.camera.unproject(pixel)?;
-        Ok(self.left.camera.pinhole().pixel_from_normalized(&ray.xy()))
+    /// Maps a pixel of the raw left image to the undistorted one; `None` if it has no ray.
+    pub(super) fn undistort_pixel(&self, pixel: &Vector2<f64>) -> Option<Vector2<f64>> {
+        let ray = self.rig.left().unproject(pixel).ok()?;
+        Some(self.pair.left().pixel_from_normalized(&ray.xy()))
     }
 }
 
+/// The undistortion of one camera, and the hue of its latest image.
+#[derive(Clone, Debug)]
+struct CameraInput {
+    /// Remap table and undistorted image, if the camera has distortion.
+    undistortion: Option<(RemapTable, RgbImage)>,
+    /// The image to undistort in one piece of 8-bit colour, if it is not yet.
+    whole: Vec<u8>,
+    hue: HuePlane,
+}
+
 impl CameraInput {
-    fn new(name: &'static str, camera: &Camera) -> Self {
+    fn new(camera: &Camera) -> Self {
         let undistortion = (!matches!(camera.distortion(), Distortion::None)).then(|| {
             let table = RemapTable::undistort(camera);
             let image = RgbImage::new(table.size().width, table.size().height);
             (table, image)
         });
-        Self { name, camera: *camera, undistortion, whole: Vec::new(), hue: HuePlane::default() }
-    }
-
-    fn check_size(&self, image: ImageView<'_>) -> Result<(), EstimationError> {
-        let expected = self.camera.size();
-        if image.width() == expected.width && image.height() == expected.height {
-            return Ok(());
-        }
-        Err(EstimationError::ImageSize {
-            side: self.name,
-            width: image.width() as usize,
-            height: image.height() as usize,
-            expected_width: expected.width as usize,
-            expected_height: expected.height as usize,
-        })
+        Self { undistortion, whole: Vec::new(), hue: HuePlane::default() }
     }
 
     fn load(&mut self, image: ImageView<'_>, config: &HueConfig, kernels: Kernels) -> Result<(), EstimationError> {
+        let Some((table, undistorted)) = &mut self.undistortion else {
+            self.hue.update_from_rgb(image, config, kernels);
+            return Ok(());
+        };
         let size = ImageSize { width: image.width(), height: image.height() };
-        match &mut self.undistortion {
-            Some((table, undistorted)) => {
-                table.remap_rgb(image.contiguous_rgb(&mut self.whole), size, undistorted)?;
-                self.hue.update_from_rgb(&*undistorted, config, kernels);
-            }
-            None => self.hue.update_from_rgb(image, config, kernels),
-        }
+        table.remap_rgb(image.contiguous_rgb(&mut self.whole), size, undistorted)?;
+        self.hue.update_from_rgb(&*undistorted, config, kernels);
         Ok(())
     }
 }

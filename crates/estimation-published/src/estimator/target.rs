@@ -1,6 +1,6 @@
 //! State of the tracked target between two frames.
 
-use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Point3, Quaternion, UnitQuaternion, Vector2, Vector3};
 use pb3dp_estimation_core::plane_hypothesis::PlaneHypothesis;
 use pb3dp_estimation_core::trig;
 use pb3dp_geometry::frames::{CamLeft, Model};
@@ -17,7 +17,6 @@ const VERTEX_MAX_PX: f64 = 20_000.0;
 #[derive(Clone, Debug)]
 pub(super) struct Target {
     pub rmga: RmGa,
-    pub cold_rmga: RmGa,
     pub population: Population,
     pub cam_left_from_model: Pose<CamLeft, Model>,
     /// Rotation `cam_left_from_model` of the first frame, updated with the known motion of the camera.
@@ -116,4 +115,34 @@ pub(super) fn pixel_of(
     let point_in_cam_left = cam_left_from_model.transform_point(&point_in_model);
     let pixel = pinhole.pixel_from_normalized(&(point_in_cam_left.coords.xy() / point_in_cam_left.z));
     (point_in_cam_left.z > 0.0 && pixel.iter().all(|c| c.abs() < VERTEX_MAX_PX)).then_some(pixel)
+}
+
+/// The reference rotation, rotated by the smallest rotation that aligns its z axis with `normal_away`. Of all rotations with
+/// that normal it is the smallest change, so it implies nothing about the rotation about the normal.
+pub(super) fn with_normal(reference: &UnitQuaternion<f64>, normal_away: &Vector3<f64>) -> UnitQuaternion<f64> {
+    let z = reference * Vector3::z();
+    // The quaternion (1 + cos a, sin a axis) is 2 cos(a / 2) times that of the rotation by a; no angle is needed.
+    let doubled = Quaternion::from_parts(1.0 + z.dot(normal_away), z.cross(normal_away));
+    // For an inverted normal the axis is undefined; no search range contains it.
+    let turn = UnitQuaternion::try_new(doubled, 1e-6).unwrap_or_default();
+    let mut turned = turn * reference;
+    turned.renormalize();
+    turned
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_new_normal_turns_the_frame_least_and_the_old_one_not_at_all() {
+        let reference = UnitQuaternion::from_euler_angles(-0.1, -0.25, 0.3);
+        let same = with_normal(&reference, &(reference * Vector3::z()));
+        assert!(same.angle_to(&reference) < 1e-9);
+        let normal = Vector3::new(0.2, 0.3, 0.9).normalize();
+        let turned = with_normal(&reference, &normal);
+        assert!((turned * Vector3::z() - normal).norm() < 1e-12);
+        let between_normals = (reference * Vector3::z()).angle(&normal);
+        assert!((turned.angle_to(&reference) - between_normals).abs() < 1e-9, "the smallest rotation");
+    }
 }

@@ -6,18 +6,20 @@ use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::{EstimateWarning, PlanePose, TrackEstimate};
 use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::method::{Deadline, EstimateRequest, EstimationMethod, MarkedTarget};
+use pb3dp_estimation_core::model_frame::model_frame_on_plane;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::{Region, RegionMask, polygon};
 use pb3dp_estimation_core::status::{Status, Verdict};
-use pb3dp_geometry::frames::{CamLeft, Model};
+use pb3dp_geometry::frames::CamLeft;
 use pb3dp_geometry::{ImageSize, Pinhole, Pose, StereoRig};
 
 use super::backprojection::{Backprojection, ShiftLimits};
-use super::core::{BestHypothesis, Core, LoadedRegion};
+use super::core::Core;
 use super::outline_fit::OutlineEdge;
-use super::target::{Appearance, Carried, Target, pixel_of};
-use super::{PublishedConfig, model_frame};
+use super::target::{Appearance, Carried, Target, pixel_of, with_normal};
+use super::{NO_HYPOTHESIS, PublishedConfig};
 use crate::observability::Landscape;
+use crate::search::Found;
 use crate::search::rmga::{Population, RmGa};
 
 /// Tracks one target from frame to frame with the published method.
@@ -74,26 +76,27 @@ impl PublishedTracker {
     ) -> Result<TrackEstimate, EstimationError> {
         self.target = None;
         let taken = self.core.take(left, right, region)?;
+        self.mask = taken.mask;
         let mut estimate = TrackEstimate {
-            warnings: taken.warnings.iter().cloned().map(EstimateWarning::Region).collect(),
+            warnings: taken.warnings.into_iter().map(EstimateWarning::Region).collect(),
             ..self.blank_estimate(&taken.outline_px)
         };
         if let Some(reason) = self.core.lack_of_hue() {
             return Ok(TrackEstimate { reason, ..estimate });
         }
         let config = self.core.config().clone();
-        let mut cold_rmga = RmGa::new(config.cold_start_rmga(), *range)?;
+        let mut rmga = RmGa::new(config.rmga, *range)?;
         let mut population = Population::random(&config.rmga);
-        let Some(found) = self.core.search(&mut cold_rmga, &mut population, deadline)? else {
-            return Ok(TrackEstimate { reason: no_hypothesis(), ..estimate });
+        let generations = config.cold_start.generations;
+        let Some(found) = self.core.search(&mut rmga, &mut population, generations, deadline)? else {
+            return Ok(TrackEstimate { reason: NO_HYPOTHESIS.to_owned(), ..estimate });
         };
         let landscape = self.core.survey(&found, range)?;
         let Verdict { status, reason } = landscape.verdict(&config.observability);
         (estimate.status, estimate.reason) = (status, reason);
         (estimate.psi, estimate.fitness) = (Some(found.psi), Some(found.fitness));
         if status != Status::NotObservable {
-            let rmga = RmGa::new(config.rmga, *range)?;
-            let target = self.first_target(&taken, &found, &landscape, rmga, cold_rmga, population);
+            let target = self.first_target(&taken.outline_px, &found, &landscape, rmga, population);
             estimate.cam_left_from_model = target.as_ref().map(|target| target.cam_left_from_model);
             self.target = target;
         }
@@ -126,14 +129,13 @@ impl PublishedTracker {
             let rays = (self.core.pair().left_ray(&old_centre_px), self.core.pair().left_ray(&new_centre_px));
             target.move_population(motion, &rays.0, &rays.1);
         }
-        let rmga = if target.lost_frames > 0 {
+        let mut generations = self.core.config().rmga.generations;
+        if target.lost_frames > 0 {
             target.population.scatter();
-            &mut target.cold_rmga
-        } else {
-            &mut target.rmga
-        };
-        let Some(found) = self.core.search(rmga, &mut target.population, deadline)? else {
-            return Ok(self.lost(target, no_hypothesis(), &carried.outline_px));
+            generations = self.core.config().cold_start.generations;
+        }
+        let Some(found) = self.core.search(&mut target.rmga, &mut target.population, generations, deadline)? else {
+            return Ok(self.lost(target, NO_HYPOTHESIS.to_owned(), &carried.outline_px));
         };
         if found.fitness < target.fitness_floor {
             let (fitness, floor) = (found.fitness, target.fitness_floor);
@@ -148,7 +150,7 @@ impl PublishedTracker {
     fn accept(
         &mut self,
         target: &mut Target,
-        found: &BestHypothesis,
+        found: &Found,
         carried: &Carried,
     ) -> Result<TrackEstimate, EstimationError> {
         let mut estimate = self.blank_estimate(&carried.outline_px);
@@ -156,13 +158,13 @@ impl PublishedTracker {
         let origin_ray = self.core.pair().left_ray(&carried.origin_px);
         let plane = found.psi.inverse_depth_plane(&centre_ray);
         let Some(plane) = plane.and_then(|q| PlanePose::from_inverse_depth_plane(q, &origin_ray)) else {
-            return Ok(self.lost(target, no_hypothesis(), &carried.outline_px));
+            return Ok(self.lost(target, NO_HYPOTHESIS.to_owned(), &carried.outline_px));
         };
         let jump = plane.z_m / target.cam_left_from_model.translation_m().z - 1.0;
         if !target.was_assured && jump.abs() > self.core.config().observability.depth_spread_max {
             self.retake(target, found, carried)?;
         } else {
-            let rotation = model_frame::with_normal(&target.reference_rotation, &-plane.normal_in_cam_left);
+            let rotation = with_normal(&target.reference_rotation, &-plane.normal_in_cam_left);
             target.cam_left_from_model = Pose::from_parts(origin_ray * plane.z_m, rotation);
         }
         target.lost_frames = 0;
@@ -175,20 +177,11 @@ impl PublishedTracker {
 
     /// Reinitialises the target from the region of this frame, because its depth was that of a rival and the size of its
     /// outline was therefore wrong. The model frame is redefined here.
-    fn retake(
-        &mut self,
-        target: &mut Target,
-        found: &BestHypothesis,
-        carried: &Carried,
-    ) -> Result<(), EstimationError> {
+    fn retake(&mut self, target: &mut Target, found: &Found, carried: &Carried) -> Result<(), EstimationError> {
         let range = *target.rmga.codec().range();
         let landscape = self.core.survey(found, &range)?;
-        let mask = self.mask.clone();
-        let centroid_px = mask.centroid_px().unwrap_or_default();
-        let taken = LoadedRegion { warnings: Vec::new(), centroid_px, mask, outline_px: carried.outline_px.clone() };
-        let (rmga, cold_rmga) = (target.rmga.clone(), target.cold_rmga.clone());
-        let population = target.population.clone();
-        if let Some(anew) = self.first_target(&taken, found, &landscape, rmga, cold_rmga, population) {
+        let (rmga, population) = (target.rmga.clone(), target.population.clone());
+        if let Some(anew) = self.first_target(&carried.outline_px, found, &landscape, rmga, population) {
             *target = anew;
         }
         Ok(())
@@ -196,12 +189,12 @@ impl PublishedTracker {
 
     /// Status of the estimate for a frame. Continuity rules out other peaks only once the whole search range has been surveyed
     /// without finding a rival. Until then it is surveyed in every frame.
-    fn judge(&mut self, target: &mut Target, found: &BestHypothesis) -> Result<Verdict, EstimationError> {
+    fn judge(&mut self, target: &mut Target, found: &Found) -> Result<Verdict, EstimationError> {
         let range = *target.rmga.codec().range();
         let config = self.core.config().tracked_observability();
         let verdict = if target.is_assured {
-            let spread = self.core.survey_nearby(found, &range)?;
-            config.verdict_nearby(spread.depth, spread.tilt_rad)
+            let spread = self.core.spread_nearby(found, &range)?;
+            config.verdict_nearby(&spread)
         } else {
             self.core.survey(found, &range)?.verdict(&config)
         };
@@ -294,13 +287,13 @@ impl PublishedTracker {
         polygon::fill(outline_px, &mut self.mask)
     }
 
+    /// The target as it is in `self.mask`, whose outline is given; `None` if a part of it is not in front of the camera.
     fn first_target(
-        &mut self,
-        taken: &LoadedRegion,
-        found: &BestHypothesis,
+        &self,
+        outline_px: &[Vector2<f64>],
+        found: &Found,
         landscape: &Landscape,
         rmga: RmGa,
-        cold_rmga: RmGa,
         population: Population,
     ) -> Option<Target> {
         let pair = *self.core.pair();
@@ -308,40 +301,37 @@ impl PublishedTracker {
         let centre_ray = pair.left_ray(&centre_px);
         let q = found.psi.inverse_depth_plane(&centre_ray)?;
         let plane = PlanePose::from_inverse_depth_plane(q, &centre_ray)?;
-        let reference_rotation = model_frame::first_rotation(&-plane.normal_in_cam_left);
-        let cam_left_from_model: Pose<CamLeft, Model> = Pose::from_parts(centre_ray * plane.z_m, reference_rotation);
+        let cam_left_from_model = model_frame_on_plane(centre_ray * plane.z_m, &plane.normal_in_cam_left)?;
         let model_from_cam_left = cam_left_from_model.inverse();
         let on_plane = |pixel: &Vector2<f64>| {
             let ray = pair.left_ray(pixel);
             let point_in_cam_left = Point3::from(ray * plane.depth_on_ray(&ray)?);
             Some(model_from_cam_left.transform_point(&point_in_cam_left).coords.xy())
         };
-        let outline_in_model_m: Option<Vec<_>> = taken.outline_px.iter().map(on_plane).collect();
+        let outline_in_model_m: Option<Vec<_>> = outline_px.iter().map(on_plane).collect();
         let outline_in_model_m = outline_in_model_m?;
-        self.mask = taken.mask.clone();
         let config = self.core.config();
-        let window = taken.mask.dilate(config.tracker.window_margin_px);
+        let window = self.mask.dilate(config.tracker.window_margin_px);
         let around = RegionMask::from_fn(window.size(), |x, y| {
-            window.contains(x as i32, y as i32) && !taken.mask.contains(x as i32, y as i32)
+            window.contains(x as i32, y as i32) && !self.mask.contains(x as i32, y as i32)
         });
-        let colours = Backprojection::learn(self.core.left_hue(), &taken.mask, &around);
+        let colours = Backprojection::learn(self.core.left_hue(), &self.mask, &around);
         let mass = colours.mass(self.core.left_hue(), &window, &Vector2::zeros());
         let (sum_px, mass_px) = mass.map_or((0.0, centre_px), |mass| (mass.sum_px, mass.centroid_px));
         let height = landscape.fitness_highest - landscape.fitness_median;
         let is_assured = landscape.verdict(&config.observability).status.depth_is_sure();
         Some(Target {
             rmga,
-            cold_rmga,
             population,
             cam_left_from_model,
-            reference_rotation,
+            reference_rotation: cam_left_from_model.rotation(),
             outline_edge: OutlineEdge::new(&outline_in_model_m, plane.z_m / pair.left().fx),
             outline_in_model_m,
             outline_roll_rad: 0.0,
             appearance: Appearance {
                 colours,
                 mass_centre_in_model_m: on_plane(&mass_px)?,
-                mass_per_area: sum_px / taken.mask.area_px().max(1) as f64,
+                mass_per_area: sum_px / self.mask.area_px().max(1) as f64,
             },
             fitness_floor: landscape.fitness_median + config.tracker.height_share_min * height,
             lost_frames: 0,
@@ -413,8 +403,4 @@ fn grown_box(mask: &RegionMask, margin_px: u32) -> RegionMask {
         }
     }
     grown
-}
-
-fn no_hypothesis() -> String {
-    "every hypothesis of the search range is behind a camera: check the range".to_owned()
 }

@@ -16,6 +16,10 @@ fn hue_of(pixel: [u8; 3]) -> Hue {
 }
 
 /// Golden values of Python's `colorsys.rgb_to_hsv`, times 360.
+fn valid_count(plane: &HuePlane) -> usize {
+    plane.padded().iter().filter(|bits| **bits & 1 == 1).count()
+}
+
 #[test]
 fn agrees_with_golden_hues() {
     let golden = [
@@ -58,14 +62,14 @@ fn the_gate_is_explicit() {
     let plane = plane_of(&pixels, &config);
     let has_hue: Vec<bool> = (0..6).map(|u| plane.at(u, 0).is_some()).collect();
     assert_eq!(has_hue, [true, false, true, false, false, false]);
-    assert_eq!(plane.valid_count(), 2);
+    assert_eq!(valid_count(&plane), 2);
     assert_eq!((plane.at(-1, 0), plane.at(6, 0), plane.at(0, 1)), (None, None, None));
 }
 
 #[test]
 fn grey_never_has_a_hue() {
     let plane = plane_of(&[[0; 3], [7; 3], [255; 3]], &OPEN);
-    assert_eq!(plane.valid_count(), 0);
+    assert_eq!(valid_count(&plane), 0);
 }
 
 #[test]

@@ -1,4 +1,8 @@
+use pb3dp_estimation_core::plane_hypothesis::{PlaneHypothesis, SearchRange};
+
+use super::survey::{Survey, candidates};
 use super::*;
+use crate::search::{PlaneScore, REFUSED};
 
 /// A landscape given by a formula, so that the probe's result can be computed by hand.
 #[derive(Clone, Copy)]
@@ -10,6 +14,10 @@ impl PlaneScore for Formula {
             let fitness = (self.0)(psi);
             *score = if fitness.is_nan() { REFUSED } else { (1000.0 * fitness).round() as i32 };
         }
+    }
+
+    fn score_max(&self) -> i32 {
+        1000
     }
 }
 
@@ -38,15 +46,16 @@ fn survey_of(shape: Shape) -> Landscape {
 }
 
 fn survey(blocks: &[Shape]) -> Landscape {
-    let target = ProbeTarget {
+    let blocks: Vec<_> = blocks.iter().copied().map(Formula).collect();
+    let survey = Survey {
+        config: &ObservabilityConfig::default(),
+        whole: &blocks[0],
+        blocks: &blocks,
         answer: ANSWER,
         range: SearchRange::new(0.35, 0.8, 0.7).expect("a range"),
         focal_baseline_px_m: 74.0,
     };
-    let scored = |formula: &Shape| Scored { score: Formula(*formula), score_max: 1000 };
-    let blocks: Vec<_> = blocks.iter().map(scored).collect();
-    let mut probe = LandscapeProbe::new(ObservabilityConfig::default()).expect("the defaults");
-    probe.survey(&blocks[0], &blocks, &target)
+    survey.landscape()
 }
 
 #[track_caller]
@@ -61,14 +70,14 @@ fn a_single_peak_on_which_all_blocks_agree_is_sure() {
     let landscape = survey_of(peak);
     assert!((landscape.fitness_highest - 0.9).abs() < 1e-9);
     assert!((landscape.fitness_median - 0.1).abs() < 1e-9, "most of the range is far away");
-    assert!(landscape.depth_spread < 0.002 && landscape.tilt_spread_rad < 0.05, "{landscape:?}");
+    assert!(landscape.spread.depth < 0.002 && landscape.spread.tilt_rad < 0.05, "{landscape:?}");
     check(&landscape, Status::Ok);
 }
 
 #[test]
 fn a_flat_landscape_is_not_observable() {
     let landscape = survey_of(|_| 1.0);
-    assert!(landscape.depth_spread > 0.1 && landscape.tilt_spread_rad > 0.4, "{landscape:?}");
+    assert!(landscape.spread.depth > 0.1 && landscape.spread.tilt_rad > 0.4, "{landscape:?}");
     check(&landscape, Status::NotObservable);
 }
 
@@ -78,7 +87,7 @@ fn a_second_peak_far_away_is_ambiguous() {
         let twin = PlaneHypothesis { z_m: psi.z_m - 0.1, ..*psi };
         peak(psi).max(peak(&twin) - 0.05)
     });
-    let RunnerUp { psi, fitness } = landscape.runner_up.expect("far hypotheses");
+    let Found { psi, fitness } = landscape.runner_up.expect("far hypotheses");
     assert!((psi.z_m - 0.6).abs() < 0.01 && fitness > 0.8, "{landscape:?}");
     check(&landscape, Status::Ambiguous);
 }
@@ -89,7 +98,7 @@ fn a_ridge_along_one_tilt_leaves_the_tilt_weak() {
         let (z, x, _) = offsets(psi);
         0.9 - 0.1 * (z.abs() + 2.0 * x.abs()).min(8.0)
     });
-    assert!(landscape.depth_spread < 0.002 && landscape.tilt_spread_rad > 0.2, "{landscape:?}");
+    assert!(landscape.spread.depth < 0.002 && landscape.spread.tilt_rad > 0.2, "{landscape:?}");
     check(&landscape, Status::WeakTilt);
 }
 
@@ -99,7 +108,7 @@ fn blocks_that_disagree_in_depth_make_the_answer_unsure() {
     let near: Shape = |psi| peak(&PlaneHypothesis { z_m: psi.z_m + 0.01, ..*psi });
     let far: Shape = |psi| peak(&PlaneHypothesis { z_m: psi.z_m - 0.01, ..*psi });
     let landscape = survey(&[near, far, near, far, near, far]);
-    assert!((0.01..0.03).contains(&landscape.depth_spread), "{landscape:?}");
+    assert!((0.01..0.03).contains(&landscape.spread.depth), "{landscape:?}");
     check(&landscape, Status::Ambiguous);
 }
 
@@ -116,23 +125,18 @@ fn refused_hypotheses_do_not_count() {
 
 #[test]
 fn candidates_are_the_best_and_an_even_selection_of_ties() {
-    let config = ObservabilityConfig { candidates_max: 100, ..ObservabilityConfig::default() };
-    let mut probe = LandscapeProbe::new(config).expect("a config");
     let numbered = |k: usize| PlaneHypothesis { z_m: k as f64, ..ANSWER };
-    probe.hypotheses = (0..1000).map(numbered).collect();
-    probe.whole = (0..1000).collect();
-    probe.keep_candidates();
-    assert_eq!(probe.hypotheses, (900..1000).map(numbered).collect::<Vec<_>>());
-    probe.hypotheses = (0..1000).map(numbered).collect();
-    probe.whole = vec![7; 1000];
-    probe.keep_candidates();
-    assert_eq!(probe.hypotheses.len(), 100);
-    assert!(probe.hypotheses.windows(2).all(|pair| pair[1].z_m - pair[0].z_m == 10.0));
+    let best = candidates((0..1000).map(|k| (numbered(k), k as i32)).collect(), 100);
+    assert_eq!(best, (900..1000).map(numbered).collect::<Vec<_>>());
+    let ties = candidates((0..1000).map(|k| (numbered(k), 7)).collect(), 100);
+    assert_eq!(ties.len(), 100);
+    assert!(ties.windows(2).all(|pair| pair[1].z_m - pair[0].z_m == 10.0));
+    assert_eq!(candidates((0..30).map(|k| (numbered(k), 7)).collect(), 100).len(), 30);
 }
 
 #[test]
 fn bad_parameters_are_refused() {
     let bad = ObservabilityConfig { depth_spread_sure: -0.1, ..ObservabilityConfig::default() };
-    let error = LandscapeProbe::new(bad).expect_err("negative");
+    let error = bad.validate().expect_err("negative");
     assert!(matches!(error, EstimationError::Parameter { name: "probe depth_spread_sure", .. }), "{error}");
 }

@@ -1,11 +1,8 @@
 //! Exhaustive search: scores all 2^24 chromosomes and finds the best.
 //!
-//! For offline use: it evaluates the score itself, without any error of a search. The work is divided by depth codes, so that a
-//! caller may distribute it over threads: [`optimum_in`] for each part, [`Optimum::merge`] for the results, in any order.
+//! For offline use: it evaluates the score itself, without any error of a search.
 
 use std::ops::Range;
-
-use pb3dp_estimation_core::plane_hypothesis::PlaneHypothesis;
 
 use super::chromosome::{Chromosome, Codec, Codes, TILT_CODES, Z_CODES};
 use super::{PlaneScore, REFUSED};
@@ -43,12 +40,14 @@ pub fn optimum_in(score: &impl PlaneScore, codec: &Codec, z_codes: Range<u32>) -
     for z in z_codes.start..z_codes.end.min(Z_CODES) {
         for theta_x in 0..TILT_CODES {
             let codes = |theta_y| Codes { z, theta_x, theta_y };
-            fill(&mut hypotheses, |theta_y| codec.hypothesis(codes(theta_y)));
+            for (slot, theta_y) in hypotheses.iter_mut().zip(0..) {
+                *slot = codec.hypothesis(codes(theta_y));
+            }
             score.score(&hypotheses, &mut scores);
-            let highest = scores.iter().copied().max().unwrap_or(REFUSED);
-            // Nearly every line is below the current optimum and needs no further evaluation.
-            if highest > REFUSED && highest >= best.score {
-                best = best.merge(line_optimum(&scores, highest, |theta_y| codec.chromosome(codes(theta_y))));
+            for (theta_y, score) in (0..).zip(scores).filter(|(_, score)| *score != REFUSED) {
+                if score >= best.score {
+                    best = best.merge(Optimum { score, chromosome: codec.chromosome(codes(theta_y)), ties: 1 });
+                }
             }
         }
     }
@@ -58,20 +57,6 @@ pub fn optimum_in(score: &impl PlaneScore, codec: &Codec, z_codes: Range<u32>) -
 /// The optimum over all 2^24 chromosomes, in this thread.
 pub fn optimum(score: &impl PlaneScore, codec: &Codec) -> Optimum {
     optimum_in(score, codec, 0..Z_CODES)
-}
-
-fn fill(hypotheses: &mut [PlaneHypothesis], hypothesis: impl Fn(u32) -> PlaneHypothesis) {
-    for (slot, theta_y) in hypotheses.iter_mut().zip(0..) {
-        *slot = hypothesis(theta_y);
-    }
-}
-
-fn line_optimum(scores: &[i32], highest: i32, chromosome: impl Fn(u32) -> Chromosome) -> Optimum {
-    let mut best = Optimum { score: highest, ..Optimum::NONE };
-    for (theta_y, _) in (0..).zip(scores).filter(|(_, score)| **score == highest) {
-        best = Optimum { chromosome: best.chromosome.min(chromosome(theta_y)), ties: best.ties + 1, ..best };
-    }
-    best
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 use image::RgbImage;
 use nalgebra::Vector2;
 use pb3dp_estimation_core::cpu::Kernels;
-use pb3dp_estimation_core::plane_hypothesis::{PinholePair, SearchRange};
+use pb3dp_estimation_core::plane_hypothesis::{PinholePair, PlaneHypothesis, SearchRange};
 use pb3dp_estimation_core::region::RegionMask;
 use pb3dp_estimation_test_support::scene::{self, Scene};
 use pb3dp_geometry::{ImageSize, StereoRig};
@@ -81,6 +81,10 @@ impl PlaneScore for Box3 {
             *score = if codes.theta_x == 127 { REFUSED } else { i32::from(inside) - 1 };
         }
     }
+
+    fn score_max(&self) -> i32 {
+        1
+    }
 }
 
 #[test]
@@ -110,6 +114,10 @@ fn nothing_scored_gives_no_optimum() {
     impl PlaneScore for Refuse {
         fn score(&self, _: &[PlaneHypothesis], scores: &mut [i32]) {
             scores.fill(REFUSED);
+        }
+
+        fn score_max(&self) -> i32 {
+            1
         }
     }
     assert_eq!(optimum_in(&Refuse, &codec(), 5..9), Optimum::NONE);

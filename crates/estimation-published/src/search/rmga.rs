@@ -156,7 +156,6 @@ pub struct RmGa {
     hypotheses: Vec<PlaneHypothesis>,
     scores: Vec<i32>,
     ranking: Vec<(Reverse<i32>, Chromosome)>,
-    best_scores: Vec<i32>,
 }
 
 impl RmGa {
@@ -173,7 +172,6 @@ impl RmGa {
             hypotheses: vec![range.centre(); config.population],
             scores: vec![REFUSED; config.population],
             ranking: vec![(Reverse(REFUSED), Chromosome::default()); config.population],
-            best_scores: Vec::with_capacity(config.generations),
         })
     }
 
@@ -187,44 +185,28 @@ impl RmGa {
         &self.codec
     }
 
-    /// Sets another search range; the population keeps its bits, which then represent other hypotheses, see
-    /// [`Population::shift`].
-    ///
-    /// # Errors
-    /// A range that [`SearchRange::validate`] rejects.
-    pub fn set_range(&mut self, range: SearchRange) -> Result<(), EstimationError> {
-        range.validate()?;
-        self.codec = Codec::new(range, self.config.coding);
-        Ok(())
-    }
-
-    /// Best score of each generation of the last frame.
-    pub fn best_scores(&self) -> &[i32] {
-        &self.best_scores
-    }
-
     /// Processes one frame: the configured number of generations. The population stays as bred after the last sorting, with the
     /// best individual first: it is the start of the next frame.
     pub fn evolve(&mut self, population: &mut Population, score: &impl PlaneScore) -> Best {
-        self.evolve_while(population, score, &mut || true)
+        self.evolve_while(population, score, self.config.generations, &mut || true)
     }
 
-    /// As [`Self::evolve`], while `may_continue` returns true before each generation; the first generation always runs.
+    /// As [`Self::evolve`], for a given number of generations, while `may_continue` returns true before each generation; the
+    /// first generation always runs.
     pub fn evolve_while(
         &mut self,
         population: &mut Population,
         score: &impl PlaneScore,
+        generations: usize,
         may_continue: &mut dyn FnMut() -> bool,
     ) -> Best {
         self.fit(population);
-        self.best_scores.clear();
-        for generation in 0..self.config.generations {
+        for generation in 0..generations {
             if generation > 0 && !may_continue() {
                 break;
             }
             self.evaluate(&population.individuals, score);
             self.ranking.sort_unstable();
-            self.best_scores.push(self.ranking[0].0.0);
             self.breed(population);
         }
         let (Reverse(score), chromosome) = self.ranking[0];
