@@ -1,7 +1,9 @@
 //! An intermediary between a run and one of its arms.
 
+use std::task::Poll;
+
 use pb3dp_cell::parts::DrivenArm;
-use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, JointCommand, JointState};
+use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, JointCommand, JointState, PowerOrder};
 use pb3dp_hal_middleware::LimiterStatistics;
 
 type Exchange = dyn FnMut(&mut dyn DrivenArm, JointCommand) -> Result<JointState, ArmError> + Send;
@@ -37,16 +39,8 @@ impl ArmPower for Between {
         self.arm.state()
     }
 
-    fn enable(&mut self) -> Result<(), ArmError> {
-        self.arm.enable()
-    }
-
-    fn stop(&mut self) -> Result<(), ArmError> {
-        self.arm.stop()
-    }
-
-    fn reset(&mut self) -> Result<(), ArmError> {
-        self.arm.reset()
+    fn power(&mut self, order: PowerOrder) -> Result<Poll<()>, ArmError> {
+        self.arm.power(order)
     }
 
     fn is_stopped_by_other(&self) -> bool {
@@ -57,9 +51,5 @@ impl ArmPower for Between {
 impl DrivenArm for Between {
     fn statistics(&self) -> LimiterStatistics {
         self.arm.statistics()
-    }
-
-    fn enable_here(&mut self) -> Result<(), ArmError> {
-        self.arm.enable_here()
     }
 }

@@ -3,13 +3,14 @@
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
+use std::task::Poll;
 use std::time::Duration;
 
 use nalgebra::Vector3;
 use pb3dp_cell::parts::{ArmChoice, Parts};
 use pb3dp_cell::plan::Plan;
 use pb3dp_geometry::Pose;
-use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
+use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState, PowerOrder};
 use pb3dp_hal_clock::VirtualClock;
 use pb3dp_hal_middleware::{Guard, Limiter, LimiterConfig, StartPose};
 use pb3dp_kinematics::{DOF, JointVector};
@@ -75,16 +76,8 @@ impl ArmPower for Prompt {
         ArmState::Enabled
     }
 
-    fn enable(&mut self) -> Result<(), ArmError> {
-        Ok(())
-    }
-
-    fn stop(&mut self) -> Result<(), ArmError> {
-        Ok(())
-    }
-
-    fn reset(&mut self) -> Result<(), ArmError> {
-        Ok(())
+    fn power(&mut self, _: PowerOrder) -> Result<Poll<()>, ArmError> {
+        Ok(Poll::Ready(()))
     }
 }
 

@@ -5,6 +5,7 @@ mod enabling;
 mod flight_records;
 
 use std::sync::{Arc, Mutex};
+use std::task::Poll;
 
 use pb3dp_cell::experiment::{Ended, conduct};
 use pb3dp_cell::operator::Operator;
@@ -12,7 +13,10 @@ use pb3dp_cell::parts::{DrivenArm, Parts};
 use pb3dp_cell::report::{self, Made};
 use pb3dp_cell::supervision::TransitionNote;
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
+use pb3dp_hal_api::{
+    Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, EnablePosition, JointCommand, JointState,
+    PowerOrder,
+};
 use pb3dp_hal_middleware::{FlightLog, LimiterStatistics, RecordedRequest};
 use pb3dp_kinematics::JointVector;
 use pb3dp_servo::supervisor::{Decision, OperatorCommand, OperatorInput, OperatorRequest};
@@ -157,26 +161,29 @@ impl ArmPower for Stoppable {
         if self.is_latched() { ArmState::EStop } else { self.inner.state() }
     }
 
-    fn enable(&mut self) -> Result<(), ArmError> {
-        if self.is_latched() { Err(self.refusal()) } else { self.inner.enable() }
-    }
-
-    fn stop(&mut self) -> Result<(), ArmError> {
-        self.noted.lock().unwrap().stops_s.push(self.now_s());
-        if self.stops_failing > 0 {
-            self.stops_failing -= 1;
-            return Err(ArmError::new(ArmErrorKind::Timeout, "the stop was not heard"));
+    fn power(&mut self, order: PowerOrder) -> Result<Poll<()>, ArmError> {
+        match order {
+            PowerOrder::Enable(EnablePosition::Here) | PowerOrder::BeginEnable(EnablePosition::Here)
+                if self.now_s() < self.enables_again_s =>
+            {
+                return Err(ArmError::new(ArmErrorKind::Timeout, "the drives do not answer, says the test"));
+            }
+            PowerOrder::Enable(_) | PowerOrder::BeginEnable(_) if self.is_latched() => return Err(self.refusal()),
+            PowerOrder::Stop => {
+                self.noted.lock().unwrap().stops_s.push(self.now_s());
+                if self.stops_failing > 0 {
+                    self.stops_failing -= 1;
+                    return Err(ArmError::new(ArmErrorKind::Timeout, "the stop was not heard"));
+                }
+            }
+            PowerOrder::Reset if self.is_pressed() => return Err(self.refusal()),
+            PowerOrder::Reset => {
+                self.cleared_s = self.now_s();
+                self.noted.lock().unwrap().resets_s.push(self.now_s());
+            }
+            _ => {}
         }
-        self.inner.stop()
-    }
-
-    fn reset(&mut self) -> Result<(), ArmError> {
-        if self.is_pressed() {
-            return Err(self.refusal());
-        }
-        self.cleared_s = self.now_s();
-        self.noted.lock().unwrap().resets_s.push(self.now_s());
-        self.inner.reset()
+        self.inner.power(order)
     }
 
     fn is_stopped_by_other(&self) -> bool {
@@ -187,13 +194,6 @@ impl ArmPower for Stoppable {
 impl DrivenArm for Stoppable {
     fn statistics(&self) -> LimiterStatistics {
         self.inner.statistics()
-    }
-
-    fn enable_here(&mut self) -> Result<(), ArmError> {
-        if self.now_s() < self.enables_again_s {
-            return Err(ArmError::new(ArmErrorKind::Timeout, "the drives do not answer, says the test"));
-        }
-        if self.is_latched() { Err(self.refusal()) } else { self.inner.enable_here() }
     }
 }
 

@@ -7,7 +7,7 @@ use std::fmt;
 
 use nalgebra::Vector2;
 
-use crate::gates::{Gate, Limits};
+use crate::gates::{COVERAGE, Limits, VIEWS};
 use crate::selection::seen;
 use crate::stand::{CELLS, Cells, Stand};
 
@@ -151,9 +151,9 @@ pub fn advice(stands: &[Stand], limits: &Limits) -> Advice {
         tilted,
         near: stands.iter().filter(|stand| stand.size >= near).count(),
     };
-    let is_covered = progress.coverage() >= (limits.of(Gate::Coverage).good / 100.0 + COVERAGE_MORE).min(1.0);
+    let is_covered = progress.coverage() >= (limits.of(COVERAGE).good / 100.0 + COVERAGE_MORE).min(1.0);
     let is_tilted = tilted.iter().all(|count| *count >= TILTED_EACH);
-    let views_enough = VIEWS_ENOUGH.max(limits.of(Gate::Views).good.ceil() as usize);
+    let views_enough = VIEWS_ENOUGH.max(limits.of(VIEWS).good.ceil() as usize);
     let is_all = is_covered && is_tilted && progress.near >= NEAR_VIEWS && stands.len() >= views_enough;
     if is_all || stands.len() >= VIEWS_MAX.max(views_enough) {
         return Advice { progress, request: None };

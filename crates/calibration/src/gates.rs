@@ -1,211 +1,45 @@
-//! Quality gates: the limits that a calibration must meet, and the advice if it does not.
+//! Quality gates: judged figures, each with the limits that it must meet and the remedy if it does not.
+//!
+//! The gates of cameras and stereo rigs are here, those of hand-eye calibrations in [`crate::hand_eye::gates`], and the checks of an
+//! existing calibration in [`crate::verify::limits`].
 
 use std::fmt;
+
+use pb3dp_record::calibration_files::JudgedGate;
 
 use crate::defects::Defects;
 use crate::quality::Quality;
 
 /// A judged quantity.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Gate {
-    /// Number of views.
-    Views,
-    /// Share of the image covered by detected corners.
-    Coverage,
-    /// How much the board was tilted.
-    Tilt,
-    /// How flat the board is.
-    Flatness,
-    /// Whether a focal length changed.
-    Focus,
-    /// Whether the board moved between the exposures of the two cameras.
-    Motion,
-    /// Reprojection error of held-out views.
-    HeldOut,
-    /// Error of held-out views, divided by the error of the fitted views.
-    HeldOutRatio,
-    /// Vertical misalignment (epipolar error) of the rectified images.
-    Rows,
-    /// The baseline compared with an independently measured one.
-    Scale,
-    /// Depth error caused by the calibration.
-    Depth,
-}
-
-impl Gate {
-    /// All gates, in display order.
-    pub const ALL: [Self; 11] = [
-        Self::Views,
-        Self::Coverage,
-        Self::Tilt,
-        Self::Flatness,
-        Self::Focus,
-        Self::Motion,
-        Self::HeldOut,
-        Self::HeldOutRatio,
-        Self::Rows,
-        Self::Scale,
-        Self::Depth,
-    ];
-
-    /// The name in configurations, files and waivers, with its unit.
-    pub fn key(self) -> &'static str {
-        match self {
-            Self::Views => "views",
-            Self::Coverage => "coverage_percent",
-            Self::Tilt => "tilt_deg",
-            Self::Flatness => "board_flatness_mm",
-            Self::Focus => "focus_change_percent",
-            Self::Motion => "motion_rms_px",
-            Self::HeldOut => "held_out_rms_px",
-            Self::HeldOutRatio => "held_out_ratio",
-            Self::Rows => "row_error_rms_px",
-            Self::Scale => "scale_percent",
-            Self::Depth => "depth_sigma_percent",
-        }
-    }
-
-    /// Whether larger is better.
-    pub fn is_floor(self) -> bool {
-        matches!(self, Self::Views | Self::Coverage | Self::Tilt)
-    }
-
-    /// The measured value; `None` if this calibration does not have it.
-    fn measured(self, quality: &Quality) -> Option<f64> {
-        match self {
-            Self::Views => Some(quality.views as f64),
-            Self::Coverage => Some(100.0 * quality.coverage),
-            Self::Tilt => Some(quality.tilt_deg),
-            Self::Flatness => Some(1e3 * quality.defects.as_ref()?.flatness_m?),
-            Self::Focus => Some(defects(quality, |defects| defects.refocused.share * 100.0)),
-            Self::Motion => {
-                quality.rows.map(|_| defects(quality, |defects| defects.moved.map_or(f64::NAN, |moved| moved.rms_px)))
-            }
-            Self::HeldOut => Some(quality.held_out_rms_px),
-            Self::HeldOutRatio => Some(quality.held_out_ratio()),
-            Self::Rows => quality.rows.map(|rows| rows.rms_px),
-            Self::Scale => quality.scale_error_share.map(|share| 100.0 * share.abs()),
-            Self::Depth => quality.depth_sigma_share.map(|share| 100.0 * share),
-        }
-    }
-
-    /// Advice if the grade is not good.
-    pub fn advice(self) -> &'static str {
-        match self {
-            Self::Views => "take more images of the board, 15 to 20",
-            Self::Coverage => "show the board in the corners and at the borders of the image, of both cameras",
-            Self::Tilt => "tilt the board by 20 to 40 degrees, about both its axes, in several views",
-            Self::Flatness => {
-                "the board is bent: fix it to a glass or aluminium plate, or use another board, and take all images again"
-            }
-            Self::Focus => {
-                "a focal length changed between the views: disable autofocus, lock the focus, do not touch the lenses, and take all images again"
-            }
-            Self::Motion => {
-                "the two cameras disagree about the board position: hold the board still (put it down or on a tripod), synchronise the exposures, fix the cameras to each other, and take the images again"
-            }
-            Self::HeldOut => {
-                "check the views with the largest errors for blur, a bent board, or a camera that was touched or refocused; leave these views out or take them again"
-            }
-            Self::HeldOutRatio => {
-                "the fit does not generalise to held-out views: take more views, or choose a lens model with fewer coefficients"
-            }
-            Self::Rows => {
-                "the rectified images are vertically misaligned: fix the cameras to each other, do not change the focus, synchronise the exposures, hold the board still, and take the images again"
-            }
-            Self::Scale => {
-                "the baseline differs from the measured one: measure ten squares of the board, divide and correct --square, or measure the baseline again"
-            }
-            Self::Depth => {
-                "add views with the board at the working distance and with the board nearer, so that it is larger in the image"
-            }
-        }
-    }
-}
-
-/// A value of the defects; NaN, which is refused, if the defects could not be estimated.
-fn defects(quality: &Quality, number: impl Fn(&Defects) -> f64) -> f64 {
-    quality.defects.as_ref().map_or(f64::NAN, number)
-}
-
-/// The limits of a gate: good, and refused.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Limit {
+pub struct Gate {
+    /// The name in configurations, files and waivers, with its unit.
+    pub key: &'static str,
+    /// Whether larger is better.
+    pub is_floor: bool,
     /// Good up to this value, inclusive.
     pub good: f64,
     /// Refused if worse than this value.
     pub refused: f64,
+    /// Advice if the grade is not good.
+    pub advice: &'static str,
 }
 
-impl Limit {
-    /// The limit, if its numbers are consistent for a gate where larger (`is_floor`) or smaller is better.
-    pub(crate) fn checked(self, key: &'static str, is_floor: bool) -> Result<Self, LimitError> {
-        let Self { good, refused } = self;
-        let ordered = if is_floor { good >= refused } else { good <= refused };
-        if good.is_finite() && refused.is_finite() && good >= 0.0 && refused >= 0.0 && ordered {
-            return Ok(self);
-        }
-        let better = if is_floor { "larger" } else { "smaller" };
-        Err(LimitError { key, good, refused, better })
-    }
-}
-
-/// The limits of all gates.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Limits {
-    limits: [Limit; Gate::ALL.len()],
-}
-
-/// An invalid limit.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error(
-    "gates.{key}: good = {good}, refused = {refused}; both must be finite and not negative, and good must be the {better} one"
-)]
-pub struct LimitError {
-    key: &'static str,
-    good: f64,
-    refused: f64,
-    better: &'static str,
-}
-
-impl Default for Limits {
-    fn default() -> Self {
-        let limit = |gate| match gate {
-            Gate::Views => Limit { good: 12.0, refused: 6.0 },
-            Gate::Coverage => Limit { good: 70.0, refused: 45.0 },
-            Gate::Tilt => Limit { good: 20.0, refused: 10.0 },
-            Gate::Flatness => Limit { good: 0.5, refused: 1.0 },
-            Gate::Focus => Limit { good: 0.1, refused: 0.3 },
-            Gate::Motion => Limit { good: 0.03, refused: 0.05 },
-            Gate::HeldOut => Limit { good: 0.2, refused: 0.35 },
-            Gate::HeldOutRatio => Limit { good: 1.25, refused: 1.6 },
-            Gate::Rows => Limit { good: 0.2, refused: 0.3 },
-            Gate::Scale => Limit { good: 1.5, refused: 3.0 },
-            Gate::Depth => Limit { good: 0.1, refused: 0.5 },
-        };
-        Self { limits: Gate::ALL.map(limit) }
-    }
-}
-
-impl Limits {
-    /// The limit of a gate.
-    pub fn of(&self, gate: Gate) -> Limit {
-        self.limits[gate as usize]
+impl Gate {
+    /// A gate where smaller is better, good up to `good` and refused above `refused`.
+    pub const fn at_most(key: &'static str, [good, refused]: [f64; 2], advice: &'static str) -> Self {
+        Self { key, is_floor: false, good, refused, advice }
     }
 
-    /// The same limits with the limit of one gate replaced.
-    ///
-    /// # Errors
-    /// Numbers that are not finite, negative, or in the wrong order.
-    pub fn with(mut self, gate: Gate, limit: Limit) -> Result<Self, LimitError> {
-        self.limits[gate as usize] = limit.checked(gate.key(), gate.is_floor())?;
-        Ok(self)
+    /// A gate where larger is better, good from `good` and refused below `refused`.
+    pub const fn at_least(key: &'static str, [good, refused]: [f64; 2], advice: &'static str) -> Self {
+        Self { key, is_floor: true, good, refused, advice }
     }
 
-    /// Judges a calibration.
-    pub fn judge(&self, quality: &Quality) -> Vec<Verdict> {
-        let of = |gate: Gate| Some(Verdict { gate, measured: gate.measured(quality)?, limit: self.of(gate) });
-        Gate::ALL.into_iter().filter_map(of).collect()
+    /// The limits in words: of good, and of refused values.
+    pub fn limits(&self) -> [String; 2] {
+        let [good, refused] = if self.is_floor { ["from", "below"] } else { ["up to", "above"] };
+        [format!("{good} {}", self.good), format!("{refused} {}", self.refused)]
     }
 }
 
@@ -233,52 +67,219 @@ impl Grade {
 
 /// The result of one gate.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Verdict {
-    /// The gate.
+pub struct Judged {
+    /// The gate, with the limits that the value was compared with.
     pub gate: Gate,
     /// The measured value, in the unit of the gate's key.
     pub measured: f64,
-    /// The limit it was compared with.
-    pub limit: Limit,
 }
 
-impl Verdict {
+impl Judged {
     /// The grade; a value that is not finite is refused.
     pub fn grade(&self) -> Grade {
-        self.limit.grade(self.measured, self.gate.is_floor())
-    }
-}
-
-impl Limit {
-    /// Grades a value; a value that is not finite is refused.
-    pub(crate) fn grade(self, measured: f64, is_floor: bool) -> Grade {
-        let as_good_as = |limit: f64| if is_floor { measured >= limit } else { measured <= limit };
-        match (as_good_as(self.good), as_good_as(self.refused)) {
+        let Self { gate, measured } = *self;
+        let as_good_as = |limit: f64| if gate.is_floor { measured >= limit } else { measured <= limit };
+        match (as_good_as(gate.good), as_good_as(gate.refused)) {
             (true, _) if measured.is_finite() => Grade::Good,
             (_, true) if measured.is_finite() => Grade::Fair,
             _ => Grade::Refused,
         }
     }
-
-    /// The printed line of a gate: measured value, limits, and advice if it is not good.
-    pub(crate) fn line(self, key: &str, measured: f64, is_floor: bool, advice: &str) -> String {
-        let word = if is_floor { "from" } else { "up to" };
-        let Self { good, refused } = self;
-        let grade = self.grade(measured, is_floor);
-        let told = format!(
-            "{:<8} {key} = {measured:.3} (good {word} {good}, refused {} {refused})",
-            grade.name(),
-            if is_floor { "below" } else { "above" }
-        );
-        if grade == Grade::Good { told } else { format!("{told}: {advice}") }
-    }
 }
 
-impl fmt::Display for Verdict {
+/// The printed line: measured value, limits, and advice if the grade is not good.
+impl fmt::Display for Judged {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.limit.line(self.gate.key(), self.measured, self.gate.is_floor(), self.gate.advice()))
+        let Self { gate: Gate { key, advice, .. }, measured } = self;
+        let (grade, [good, refused]) = (self.grade(), self.gate.limits());
+        write!(f, "{:<8} {key} = {measured:.3} (good {good}, refused {refused})", grade.name())?;
+        if grade == Grade::Good { Ok(()) } else { write!(f, ": {advice}") }
     }
 }
+
+impl From<&Judged> for JudgedGate {
+    fn from(judged: &Judged) -> Self {
+        let Gate { key, good, refused, .. } = judged.gate;
+        Self { name: key.to_owned(), measured: judged.measured, good, refused, grade: judged.grade().name().to_owned() }
+    }
+}
+
+/// The worst grade of all gates, and the verdict in words: good, usable, or the number of gates that refuse.
+pub fn verdict(judged: &[Judged]) -> (Grade, String) {
+    let of = |grade: Grade| judged.iter().filter(|judged| judged.grade() == grade).count();
+    match (of(Grade::Refused), of(Grade::Fair)) {
+        (0, 0) => (Grade::Good, "good".to_owned()),
+        (0, fair) => (Grade::Fair, format!("usable; {fair} of {} gates could be better", judged.len())),
+        (refused, _) => (Grade::Refused, format!("refused by {refused} of {} gates", judged.len())),
+    }
+}
+
+/// The gates of one kind of calibration, with the built-in limits or with others.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Limits {
+    /// Name of their table in a file.
+    pub table: &'static str,
+    gates: Vec<Gate>,
+}
+
+/// An invalid limit.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "{table}.{key}: good = {good}, refused = {refused}; both must be finite and not negative, and good must be the {better} one"
+)]
+pub struct LimitError {
+    table: &'static str,
+    key: &'static str,
+    good: f64,
+    refused: f64,
+    better: &'static str,
+}
+
+impl Limits {
+    /// These gates with their own limits.
+    pub(crate) fn built_in(table: &'static str, gates: &[Gate]) -> Self {
+        Self { table, gates: gates.to_vec() }
+    }
+
+    /// The gates of cameras and stereo rigs, as in `configs/calibration_gates.toml`.
+    pub fn of_cameras() -> Self {
+        Self::built_in("gates", &CAMERA_GATES)
+    }
+
+    /// All gates, in display order.
+    pub fn gates(&self) -> &[Gate] {
+        &self.gates
+    }
+
+    /// A gate with the limits of this list.
+    pub fn of(&self, gate: Gate) -> Gate {
+        self.gates.iter().find(|own| own.key == gate.key).map_or(gate, |own| Gate { advice: gate.advice, ..*own })
+    }
+
+    /// The same gates with other limits of good and refused values for one of them.
+    ///
+    /// # Errors
+    /// Numbers that are not finite, negative, or in the wrong order.
+    pub fn with(mut self, gate: Gate, [good, refused]: [f64; 2]) -> Result<Self, LimitError> {
+        let Gate { key, is_floor, .. } = gate;
+        let ordered = if is_floor { good >= refused } else { good <= refused };
+        if !(good.is_finite() && refused.is_finite() && good >= 0.0 && refused >= 0.0 && ordered) {
+            let better = if is_floor { "larger" } else { "smaller" };
+            return Err(LimitError { table: self.table, key, good, refused, better });
+        }
+        for own in self.gates.iter_mut().filter(|own| own.key == key) {
+            *own = Gate { good, refused, ..*own };
+        }
+        Ok(self)
+    }
+
+    /// Judges a value.
+    pub fn judge(&self, gate: Gate, measured: f64) -> Judged {
+        Judged { gate: self.of(gate), measured }
+    }
+
+    /// Judges the calibration of a camera or stereo rig; gates whose value it does not have are left out.
+    pub fn judge_cameras(&self, quality: &Quality) -> Vec<Judged> {
+        let percent = |share: f64| 100.0 * share;
+        let moved = |defects: &Defects| defects.moved.map_or(f64::NAN, |moved| moved.rms_px);
+        let measured = [
+            (VIEWS, Some(quality.views as f64)),
+            (COVERAGE, Some(percent(quality.coverage))),
+            (TILT, Some(quality.tilt_deg)),
+            (FLATNESS, quality.defects.as_ref().and_then(|defects| defects.flatness_m).map(|metres| 1e3 * metres)),
+            (FOCUS, Some(defects(quality, |defects| percent(defects.refocused.share)))),
+            (MOTION, quality.rows.map(|_| defects(quality, moved))),
+            (HELD_OUT, Some(quality.held_out_rms_px)),
+            (HELD_OUT_RATIO, Some(quality.held_out_ratio())),
+            (ROWS, quality.rows.map(|rows| rows.rms_px)),
+            (SCALE, quality.scale_error_share.map(|share| percent(share.abs()))),
+            (DEPTH, quality.depth_sigma_share.map(percent)),
+        ];
+        measured.into_iter().filter_map(|(gate, measured)| Some(self.judge(gate, measured?))).collect()
+    }
+}
+
+/// A value of the defects; NaN, which is refused, if the defects could not be estimated.
+fn defects(quality: &Quality, number: impl Fn(&Defects) -> f64) -> f64 {
+    quality.defects.as_ref().map_or(f64::NAN, number)
+}
+
+/// Number of views.
+pub const VIEWS: Gate = Gate::at_least("views", [12.0, 6.0], "take more images of the board, 15 to 20");
+
+/// Share of the image covered by detected corners.
+pub const COVERAGE: Gate = Gate::at_least(
+    "coverage_percent",
+    [70.0, 45.0],
+    "show the board in the corners and at the borders of the image, of both cameras",
+);
+
+/// How much the board was tilted.
+pub const TILT: Gate = Gate::at_least(
+    "tilt_deg",
+    [20.0, 10.0],
+    "tilt the board by 20 to 40 degrees, about both its axes, in several views",
+);
+
+/// How flat the board is.
+pub const FLATNESS: Gate = Gate::at_most(
+    "board_flatness_mm",
+    [0.5, 1.0],
+    "the board is bent: fix it to a glass or aluminium plate, or use another board, and take all images again",
+);
+
+/// Whether a focal length changed.
+pub const FOCUS: Gate = Gate::at_most(
+    "focus_change_percent",
+    [0.1, 0.3],
+    "a focal length changed between the views: disable autofocus, lock the focus, do not touch the lenses, and take all images again",
+);
+
+/// Whether the board moved between the exposures of the two cameras.
+pub const MOTION: Gate = Gate::at_most(
+    "motion_rms_px",
+    [0.03, 0.05],
+    "the two cameras disagree about the board position: hold the board still (put it down or on a tripod), synchronise the exposures, fix the cameras to each other, and take the images again",
+);
+
+/// Reprojection error of held-out views.
+pub const HELD_OUT: Gate = Gate::at_most(
+    "held_out_rms_px",
+    [0.2, 0.35],
+    "check the views with the largest errors for blur, a bent board, or a camera that was touched or refocused; leave these views out or take them again",
+);
+
+/// Error of held-out views, divided by the error of the fitted views.
+pub const HELD_OUT_RATIO: Gate = Gate::at_most(
+    "held_out_ratio",
+    [1.25, 1.6],
+    "the fit does not generalise to held-out views: take more views, or choose a lens model with fewer coefficients",
+);
+
+/// Vertical misalignment (epipolar error) of the rectified images.
+pub const ROWS: Gate = Gate::at_most(
+    "row_error_rms_px",
+    [0.2, 0.3],
+    "the rectified images are vertically misaligned: fix the cameras to each other, do not change the focus, synchronise the exposures, hold the board still, and take the images again",
+);
+
+/// The baseline compared with an independently measured one.
+pub const SCALE: Gate = Gate::at_most(
+    "scale_percent",
+    [1.5, 3.0],
+    "the baseline differs from the measured one: measure ten squares of the board, divide and correct --square, or measure the baseline again",
+);
+
+/// Depth error caused by the calibration.
+pub const DEPTH: Gate = Gate::at_most(
+    "depth_sigma_percent",
+    [0.1, 0.5],
+    "add views with the board at the working distance and with the board nearer, so that it is larger in the image",
+);
+
+/// The gates of cameras and stereo rigs, in display order.
+const CAMERA_GATES: [Gate; 11] =
+    [VIEWS, COVERAGE, TILT, FLATNESS, FOCUS, MOTION, HELD_OUT, HELD_OUT_RATIO, ROWS, SCALE, DEPTH];
 
 #[cfg(test)]
 mod tests {
@@ -286,16 +287,17 @@ mod tests {
 
     #[test]
     fn each_gate_refuses_beyond_its_limit_and_says_what_to_do() {
-        for gate in Gate::ALL {
-            let limit = Limits::default().of(gate);
-            let grade = |measured| Verdict { gate, measured, limit }.grade();
-            assert_eq!(grade(limit.good), Grade::Good);
-            assert_eq!(grade(0.5 * (limit.good + limit.refused)), Grade::Fair, "{gate:?}");
-            let beyond = limit.refused + 1e-6 * (limit.refused - limit.good);
-            assert_eq!(grade(beyond), Grade::Refused, "{gate:?}");
-            assert_eq!(grade(f64::NAN), Grade::Refused);
-            let text = Verdict { gate, measured: beyond, limit }.to_string();
-            assert!(text.starts_with("refused") && text.contains(gate.key()) && text.contains(gate.advice()), "{text}");
+        for limits in [Limits::of_cameras(), Limits::of_hand_eye(), Limits::of_checks()] {
+            for gate in limits.gates() {
+                let grade = |measured| limits.judge(*gate, measured).grade();
+                assert_eq!(grade(gate.good), Grade::Good);
+                assert_eq!(grade(0.5 * (gate.good + gate.refused)), Grade::Fair, "{gate:?}");
+                let beyond = gate.refused + 1e-6 * (gate.refused - gate.good);
+                assert_eq!(grade(beyond), Grade::Refused, "{gate:?}");
+                assert_eq!(grade(f64::NAN), Grade::Refused);
+                let text = limits.judge(*gate, beyond).to_string();
+                assert!(text.starts_with("refused") && text.contains(gate.key) && text.contains(gate.advice), "{text}");
+            }
         }
     }
 
@@ -315,21 +317,17 @@ mod tests {
             rows: None,
             depth_sigma_share: None,
         };
-        let verdicts = Limits::default().judge(&quality);
-        let held_out = verdicts.iter().find(|verdict| verdict.gate == Gate::HeldOut).expect("judged");
+        let judged = Limits::of_cameras().judge_cameras(&quality);
+        let held_out = judged.iter().find(|judged| judged.gate == HELD_OUT).expect("judged");
         assert_eq!((held_out.measured, held_out.grade()), (0.4, Grade::Refused));
     }
 
     #[test]
     fn limits_the_wrong_way_round_are_refused() {
-        let refused =
-            |gate, good, refused| Limits::default().with(gate, Limit { good, refused }).map_err(|e| e.to_string());
-        assert!(
-            refused(Gate::Rows, 0.3, 0.2)
-                .is_err_and(|text| text.contains("row_error_rms_px") && text.contains("smaller"))
-        );
-        assert!(refused(Gate::Views, 5.0, 9.0).is_err_and(|text| text.contains("larger")));
-        assert!(refused(Gate::Rows, f64::NAN, 0.2).is_err());
-        assert!(refused(Gate::Rows, 0.1, 0.15).is_ok_and(|limits| limits.of(Gate::Rows).refused == 0.15));
+        let with = |gate, limits| Limits::of_cameras().with(gate, limits).map_err(|e| e.to_string());
+        assert!(with(ROWS, [0.3, 0.2]).is_err_and(|e| e.contains("row_error_rms_px") && e.contains("smaller")));
+        assert!(with(VIEWS, [5.0, 9.0]).is_err_and(|text| text.contains("larger")));
+        assert!(with(ROWS, [f64::NAN, 0.2]).is_err());
+        assert!(with(ROWS, [0.1, 0.15]).is_ok_and(|limits| limits.of(ROWS).refused == 0.15));
     }
 }

@@ -3,93 +3,37 @@
 mod hand_eye;
 
 use std::collections::BTreeMap;
-use std::fmt;
 
 use pb3dp_geometry::{ImageSize, RectificationError};
 use pb3dp_record::report::{Bars, ImagePlot, Report, SeriesColor, Table, Tone, VectorAt};
 
 use crate::board::Sighting;
-use crate::fit::{Fit, View, sides};
-use crate::gates::{Gate, Grade, Verdict};
+use crate::fit::{Covariance, Fit, View, sides};
+use crate::gates::{Gate, Grade, HELD_OUT, Judged, SCALE, verdict};
 use crate::held_out::Chosen;
 use crate::quality::{Quality, row_differences};
 use crate::stand::{CELLS, cell_of};
 pub use hand_eye::of_hand_eye;
-
-/// A gate as shown in a report, for any kind of calibration.
-#[derive(Clone, Debug, PartialEq)]
-pub struct GateLine {
-    /// Its name, with the unit.
-    pub name: String,
-    /// The measured value.
-    pub measured: f64,
-    /// Good up to this value, inclusive.
-    pub good: f64,
-    /// Refused if worse than this value.
-    pub refused: f64,
-    /// The grade.
-    pub grade: Grade,
-    /// Advice if the grade is not good.
-    pub advice: String,
-}
-
-impl From<&Verdict> for GateLine {
-    fn from(verdict: &Verdict) -> Self {
-        Self {
-            name: verdict.gate.key().to_owned(),
-            measured: verdict.measured,
-            good: verdict.limit.good,
-            refused: verdict.limit.refused,
-            grade: verdict.grade(),
-            advice: verdict.gate.advice().to_owned(),
-        }
-    }
-}
-
-impl fmt::Display for GateLine {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let word = if self.good > self.refused { "from" } else { "up to" };
-        let Self { name, measured, good, refused, grade, advice } = self;
-        write!(
-            f,
-            "{:<8} {name} = {measured:.3} (good {word} {good}, refused {} {refused})",
-            grade.name(),
-            if self.good > self.refused { "below" } else { "above" }
-        )?;
-        if *grade == Grade::Good { Ok(()) } else { write!(f, ": {advice}") }
-    }
-}
-
-/// The verdict as text: good, usable, or the number of gates that refuse.
-pub fn verdict_in_words(gates: &[GateLine]) -> (Tone, String) {
-    let of = |grade: Grade| gates.iter().filter(|gate| gate.grade == grade).count();
-    match (of(Grade::Refused), of(Grade::Fair)) {
-        (0, 0) => (Tone::Good, "good".to_owned()),
-        (0, fair) => (Tone::Fair, format!("usable; {fair} of {} gates could be better", gates.len())),
-        (refused, _) => (Tone::Bad, format!("refused by {refused} of {} gates", gates.len())),
-    }
-}
+pub(crate) use hand_eye::poses;
 
 /// Adds the verdict with advice, worst gate first, and the table of all gates. For every kind of calibration.
 #[must_use]
-pub fn add_gates(report: Report, gates: &[GateLine]) -> Report {
-    let (tone, words) = verdict_in_words(gates);
-    let mut open: Vec<&GateLine> = gates.iter().filter(|gate| gate.grade != Grade::Good).collect();
-    open.sort_by_key(|gate| std::cmp::Reverse(gate.grade));
-    let advice =
-        |gate: &&GateLine| format!("{}, {} = {}: {}", gate.grade.name(), gate.name, number(gate.measured), gate.advice);
-    let lines: Vec<String> = open.iter().map(advice).collect();
+pub fn add_gates(report: Report, judged: &[Judged]) -> Report {
+    let (worst, words) = verdict(judged);
+    let tone = match worst {
+        Grade::Good => Tone::Good,
+        Grade::Fair => Tone::Fair,
+        Grade::Refused => Tone::Bad,
+    };
+    let mut open: Vec<&Judged> = judged.iter().filter(|judged| judged.grade() != Grade::Good).collect();
+    open.sort_by_key(|judged| std::cmp::Reverse(judged.grade()));
     let mut table = Table::new(["gate", "grade", "measured", "good", "refused"]);
-    for gate in gates {
-        let (word, beyond) = if gate.good > gate.refused { ("from", "below") } else { ("up to", "above") };
-        let cells = [
-            gate.name.clone(),
-            gate.grade.name().to_owned(),
-            number(gate.measured),
-            format!("{word} {}", gate.good),
-            format!("{beyond} {}", gate.refused),
-        ];
-        table = table.row(cells);
+    let line = |Judged { gate, measured }: &Judged| format!("{} = {}: {}", gate.key, number(*measured), gate.advice);
+    let lines: Vec<String> = open.iter().map(|judged| format!("{}, {}", judged.grade().name(), line(judged))).collect();
+    for judged in judged {
+        let Judged { gate, measured } = judged;
+        let [good, refused] = gate.limits();
+        table = table.row([gate.key.to_owned(), judged.grade().name().to_owned(), number(*measured), good, refused]);
     }
     report.verdict(tone, &format!("Verdict: {words}"), &lines).heading("Gates").table(&table)
 }
@@ -102,12 +46,12 @@ fn number(value: f64) -> String {
 pub fn of_camera(
     chosen: &Chosen<1>,
     quality: &Quality,
-    verdicts: &[Verdict],
+    judged: &[Judged],
     views: &[View<1>],
     size: ImageSize,
 ) -> Report {
-    let report = beginning("Calibration of a camera", quality, verdicts);
-    ending(errors(report, chosen, views, size), chosen, quality, verdicts)
+    let report = beginning("Calibration of a camera", quality, judged);
+    ending(errors(report, chosen, views, size), chosen, quality, judged)
 }
 
 /// The report of a stereo rig with working distance `depth_m`.
@@ -117,7 +61,7 @@ pub fn of_camera(
 pub fn of_stereo(
     chosen: &Chosen<2>,
     quality: &Quality,
-    verdicts: &[Verdict],
+    judged: &[Judged],
     views: &[View<2>],
     depth_m: f64,
 ) -> Result<Report, ReportError> {
@@ -131,7 +75,7 @@ pub fn of_stereo(
     let at = format!("standard deviation of depth at {:.0} mm", depth_m * 1e3);
     figures.extend(sigma.map(|share| (at.as_str(), format!("{:.3} mm", share * depth_m * 1e3))));
     let size = rig.left().size();
-    let report = beginning("Calibration of a stereo rig", quality, verdicts).figures(&figures);
+    let report = beginning("Calibration of a stereo rig", quality, judged).figures(&figures);
     let rows = row_differences(&rig, views)?;
     let vectors: Vec<VectorAt> =
         rows.iter().map(|row| VectorAt { at_px: row.left_px.into(), vector_px: [0.0, row.difference_px] }).collect();
@@ -153,7 +97,7 @@ pub fn of_stereo(
         .heading("Vertical misalignment of the rectified images")
         .paragraph("After rectification a scene point must lie in the same row of both images. A uniform misalignment means that the cameras have moved relative to each other; a misalignment that varies over the image means that a lens or focus has changed.")
         .image_plots(&plots);
-    Ok(ending(report, chosen, quality, verdicts))
+    Ok(ending(report, chosen, quality, judged))
 }
 
 /// Why no report could be made.
@@ -167,14 +111,13 @@ pub enum ReportError {
     Rectification(#[from] RectificationError),
 }
 
-fn beginning(title: &str, quality: &Quality, verdicts: &[Verdict]) -> Report {
-    let gates: Vec<GateLine> = verdicts.iter().map(GateLine::from).collect();
-    let scale = if verdicts.iter().any(|verdict| verdict.gate.key().starts_with("scale")) {
+fn beginning(title: &str, quality: &Quality, judged: &[Judged]) -> Report {
+    let scale = if judged.iter().any(|judged| judged.gate.key == SCALE.key) {
         String::new()
     } else {
         " Not judged: the size of the squares, which images cannot reveal; measure a known length with the calibrated cameras.".to_owned()
     };
-    add_gates(Report::new(title), &gates)
+    add_gates(Report::new(title), judged)
         .paragraph(&format!("{} views, {} corners.{scale}", quality.views, quality.corners))
 }
 
@@ -212,18 +155,14 @@ pub fn coverage_plots<const N: usize>(views: &[View<N>], size: ImageSize) -> Vec
 }
 
 /// Views, lens models and parameters.
-fn ending<const N: usize>(report: Report, chosen: &Chosen<N>, quality: &Quality, verdicts: &[Verdict]) -> Report {
+fn ending<const N: usize>(report: Report, chosen: &Chosen<N>, quality: &Quality, judged: &[Judged]) -> Report {
     let mut by_view = Bars::new("error of each view, px rms", 3);
     let mut views: Vec<_> = quality.reprojection_rms_by_view_px.iter().collect();
     views.sort_by(|a, b| b.1.total_cmp(&a.1));
     for (name, rms_px) in views {
         by_view = by_view.bar(name, *rms_px);
     }
-    let gate = verdicts.iter().find(|verdict| verdict.gate == Gate::HeldOut);
-    for (name, value) in gate.into_iter().flat_map(|gate| [("good", gate.limit.good), ("refused", gate.limit.refused)])
-    {
-        by_view = by_view.limit(name, value);
-    }
+    by_view = with_limits(by_view, judged, HELD_OUT);
     let mut by_lens = Bars::new("error of each lens model on held-out views, px rms", 4);
     let mut failed = Vec::new();
     for held_out in &chosen.tried {
@@ -237,33 +176,52 @@ fn ending<const N: usize>(report: Report, chosen: &Chosen<N>, quality: &Quality,
     for line in failed {
         report = report.paragraph(&line);
     }
-    let covariance = chosen.fit.covariance();
-    let raised = if covariance.view_scatter > 1.0 {
-        format!(", raised {:.1} times because views differ by more than corner noise", covariance.view_scatter.sqrt())
-    } else {
-        String::new()
-    };
-    report.heading("Numbers").table(&parameters(&chosen.fit)).paragraph(&format!(
-        "Marginal standard deviations, from {:.3} px per corner{raised}.",
-        covariance.corner_sigma_px
-    ))
+    let noise = format!("Marginal standard deviations, {}.", noise(chosen.fit.covariance()));
+    report.heading("Numbers").table(&of_fit(&chosen.fit)).paragraph(&noise)
 }
 
-/// All estimated parameters with their standard deviations; the pose in millimetres and degrees.
-fn parameters<const N: usize>(fit: &Fit<N>) -> Table {
+/// Origin of the standard deviations.
+pub(crate) fn noise(covariance: &Covariance) -> String {
+    let Covariance { corner_sigma_px, view_scatter, .. } = covariance;
+    let raised = format!(", raised {:.1} times because views differ by more than corner noise", view_scatter.sqrt());
+    format!("from {corner_sigma_px:.3} px per corner{}", if *view_scatter > 1.0 { &raised } else { "" })
+}
+
+/// The limits of a gate as lines in a plot.
+fn with_limits(bars: Bars, judged: &[Judged], gate: Gate) -> Bars {
+    match judged.iter().find(|judged| judged.gate.key == gate.key) {
+        Some(Judged { gate, .. }) => bars.limit("good", gate.good).limit("refused", gate.refused),
+        None => bars,
+    }
+}
+
+/// All estimated parameters with their standard deviations.
+fn of_fit<const N: usize>(fit: &Fit<N>) -> Table {
     let values: BTreeMap<String, f64> = fit.parameters().into_iter().collect();
+    let value = |name: &String| values.get(name).copied().unwrap_or(f64::NAN);
+    let sigma = |name: &String| Some(fit.covariance().sigma(name).unwrap_or(f64::NAN));
+    let names = fit.covariance().names.iter();
+    parameters(names.map(|name| (name.clone(), value(name), sigma(name))), 5)
+}
+
+/// A table of named parameters with their standard deviations; lengths in millimetres and angles in degrees.
+fn parameters(numbers: impl Iterator<Item = (String, f64, Option<f64>)>, decimals: usize) -> Table {
     let mut table = Table::new(["parameter", "value", "standard deviation"]);
-    for name in &fit.covariance().names {
-        let sigma = fit.covariance().sigma(name).unwrap_or(f64::NAN);
-        let (shown, factor) = match (name.strip_suffix("_m"), name.strip_suffix("_rad")) {
-            (Some(stem), _) => (format!("{stem}, mm"), 1e3),
-            (_, Some(stem)) => (format!("{stem}, degrees"), 1_f64.to_degrees()),
-            _ => (name.clone(), 1.0),
-        };
-        let value = values.get(name).copied().unwrap_or(f64::NAN);
-        table = table.row([shown, format!("{:.5}", value * factor), format!("{:.5}", sigma * factor)]);
+    for (name, value, sigma) in numbers {
+        let (shown, factor) = in_shown_units(&name);
+        let number = |value: f64| format!("{:.decimals$}", value * factor);
+        table = table.row([shown, number(value), sigma.map_or("-".to_owned(), number)]);
     }
     table
+}
+
+/// Name of a parameter with the unit in which it is shown, and the factor to that unit.
+pub(crate) fn in_shown_units(name: &str) -> (String, f64) {
+    match (name.strip_suffix("_m"), name.strip_suffix("_rad")) {
+        (Some(stem), _) => (format!("{stem}, mm"), 1e3),
+        (_, Some(stem)) => (format!("{stem}, degrees"), 1_f64.to_degrees()),
+        _ => (name.to_owned(), 1.0),
+    }
 }
 
 fn wide(size: ImageSize) -> [u32; 2] {

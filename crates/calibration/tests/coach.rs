@@ -11,7 +11,7 @@
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 use pb3dp_calibration::coach::{VIEWS_MAX, ViewRequest, advice};
 use pb3dp_calibration::fit::View;
-use pb3dp_calibration::gates::{Gate, Grade, Limits, Verdict};
+use pb3dp_calibration::gates::{COVERAGE, DEPTH, Gate, Grade, Judged, Limits, TILT};
 use pb3dp_calibration::held_out::choose;
 use pb3dp_calibration::lens::LensModel;
 use pb3dp_calibration::quality::Quality;
@@ -73,7 +73,7 @@ fn coached(rig: &StereoRig, random: &mut Random) -> Vec<View<2>> {
             if views.len() < 4 { Some(Judge::of_camera(*rig.left())) } else { Judge::new(&views, &board(), SIZE) };
         let judge = judge.expect("a camera");
         let stands: Vec<Stand> = views.iter().filter_map(|view| judge.stand(view, &board())).collect();
-        match advice(&stands, &Limits::default()).request {
+        match advice(&stands, &Limits::of_cameras()).request {
             Some(request) => views.push(follow(&request, rig, random, format!("{:02}", views.len()))),
             None => return views,
         }
@@ -81,19 +81,19 @@ fn coached(rig: &StereoRig, random: &mut Random) -> Vec<View<2>> {
     }
 }
 
-fn judged(views: &[View<2>]) -> Vec<Verdict> {
+fn judged(views: &[View<2>]) -> Vec<Judged> {
     let chosen = choose(views, &board(), SIZE, &[LensModel::Radial2, LensModel::Brown4]).expect("a fit");
-    Limits::default().judge(&Quality::of_stereo(&chosen, views, SIZE, 0.5).expect("judged"))
+    Limits::of_cameras().judge_cameras(&Quality::of_stereo(&chosen, views, SIZE, 0.5).expect("judged"))
 }
 
-fn measured(verdicts: &[Verdict], gate: Gate) -> f64 {
+fn measured(verdicts: &[Judged], gate: Gate) -> f64 {
     verdicts.iter().find(|verdict| verdict.gate == gate).expect("judged").measured
 }
 
 #[test]
 fn who_follows_the_coach_passes_the_gates() {
     const HEADS: u32 = 20;
-    let gates = [Gate::Coverage, Gate::Tilt, Gate::Depth];
+    let gates = [COVERAGE, TILT, DEPTH];
     let mut numbers: [[Vec<f64>; 2]; 3] = Default::default();
     let mut counts = Vec::new();
     let (mut good, mut good_at_random) = (0, 0);
@@ -111,7 +111,7 @@ fn who_follows_the_coach_passes_the_gates() {
         }
         let refused: Vec<_> = verdicts.iter().filter(|v| v.grade() == Grade::Refused).collect();
         assert!(refused.is_empty(), "seed {seed}, {} views: {refused:?}", coached.len());
-        let is_good = |verdicts: &[Verdict]| {
+        let is_good = |verdicts: &[Judged]| {
             gates
                 .iter()
                 .all(|gate| verdicts.iter().any(|verdict| verdict.gate == *gate && verdict.grade() == Grade::Good))
@@ -123,7 +123,7 @@ fn who_follows_the_coach_passes_the_gates() {
     println!("coverage, tilt and depth good: {good} of {HEADS}, with as many random views {good_at_random}");
     for (lists, gate) in numbers.iter().zip(gates) {
         let [coached, random] = lists.each_ref().map(|list| median(list).unwrap());
-        println!("{}: median {coached:.3}, at random {random:.3}", gate.key());
+        println!("{}: median {coached:.3}, at random {random:.3}", gate.key);
     }
     assert!(counts.iter().all(|count| *count <= VIEWS_MAX as f64));
     assert!(good >= HEADS * 9 / 10 && good > good_at_random, "{good}, {good_at_random}");
@@ -132,7 +132,7 @@ fn who_follows_the_coach_passes_the_gates() {
 
 #[test]
 fn the_advice_is_said_in_words() {
-    let first = advice(&[], &Limits::default()).request.expect("a view");
+    let first = advice(&[], &Limits::of_cameras()).request.expect("a view");
     assert_eq!(
         first.to_string(),
         "hold the board in the middle of the images, facing the cameras, near: as large as fits"
@@ -142,7 +142,7 @@ fn the_advice_is_said_in_words() {
     let views = [follow(&first, &truth, &mut random, "00".to_owned())];
     let judge = Judge::of_camera(*truth.left());
     let stand = judge.stand(&views[0], &board()).expect("a stand");
-    let second = advice(&[stand], &Limits::default());
+    let second = advice(&[stand], &Limits::of_cameras());
     println!("{:?}: {}", second.progress, second.request.expect("a view"));
     let text = second.request.expect("a view").to_string();
     assert!(

@@ -10,8 +10,8 @@
 use crate::support;
 use nalgebra::{Isometry3, Vector3};
 use pb3dp_calibration::fit::Fit;
-use pb3dp_calibration::gates::Grade;
-use pb3dp_calibration::hand_eye::gates::{HandEyeGate, HandEyeLimits};
+use pb3dp_calibration::gates::{Grade, Limits};
+use pb3dp_calibration::hand_eye::gates::{ROTATION_SPREAD, SCALE};
 use pb3dp_calibration::hand_eye::{CalibrationCovariance, Given, HandEyeError, HandEyeFit, HandEyeStop, RobotSigma};
 use pb3dp_calibration::lens::LensModel;
 use pb3dp_geometry::{StereoRig, se3, so3};
@@ -127,9 +127,9 @@ impl Tally {
 }
 
 /// The gates that refuse.
-fn refused(fit: &HandEyeFit) -> Vec<(HandEyeGate, f64)> {
-    let verdicts = HandEyeLimits::default().judge(fit, DISTANCE_M);
-    verdicts.iter().filter(|v| v.grade() == Grade::Refused).map(|v| (v.gate, v.measured)).collect()
+fn refused(fit: &HandEyeFit) -> Vec<(&'static str, f64)> {
+    let verdicts = Limits::of_hand_eye().judge_hand_eye(fit, DISTANCE_M);
+    verdicts.iter().filter(|v| v.grade() == Grade::Refused).map(|v| (v.gate.key, v.measured)).collect()
 }
 
 fn visited(seed: u32, visit: &Visit) -> (World, Vec<HandEyeStop>) {
@@ -331,8 +331,8 @@ fn wrong_squares_are_refused_and_named() {
             let small = small.expect("a head");
             let fit =
                 fit(&stops, if both { &small } else { rig }).unwrap_or_else(|error| panic!("seed {seed}: {error}"));
-            let verdicts = HandEyeLimits::default().judge(&fit, DISTANCE_M);
-            let scale = verdicts.iter().find(|v| v.gate == HandEyeGate::Scale).expect("judged");
+            let verdicts = Limits::of_hand_eye().judge_hand_eye(&fit, DISTANCE_M);
+            let scale = verdicts.iter().find(|v| v.gate.key == SCALE.key).expect("judged");
             let told = scale.to_string();
             if seed < 2 {
                 println!("{told}\n{:?}", fit.scales);
@@ -347,7 +347,7 @@ fn wrong_squares_are_refused_and_named() {
 fn reason(fit: Result<HandEyeFit, HandEyeError>) -> String {
     match fit {
         Err(error) => format!("{error:?}").split([' ', '{']).next().unwrap_or_default().to_owned(),
-        Ok(fit) => format!("{:?}", refused(&fit).iter().map(|(gate, _)| gate.key()).collect::<Vec<_>>()),
+        Ok(fit) => format!("{:?}", refused(&fit).iter().map(|(gate, _)| *gate).collect::<Vec<_>>()),
     }
 }
 
@@ -383,10 +383,7 @@ fn turns_about_one_axis_are_refused_and_named() {
             Err(error) => panic!("seed {seed}: {error}"),
             Ok(fit) => {
                 let refused = refused(&fit);
-                assert!(
-                    refused.iter().any(|(gate, _)| *gate == HandEyeGate::RotationSpread),
-                    "seed {seed}: {refused:?}"
-                );
+                assert!(refused.iter().any(|(gate, _)| *gate == ROTATION_SPREAD.key), "seed {seed}: {refused:?}");
                 "RotationSpread".to_owned()
             }
         };

@@ -9,7 +9,7 @@
 
 use nalgebra::{Isometry3, Vector3};
 use pb3dp_calibration::fit::View;
-use pb3dp_calibration::gates::{Gate, Grade, Limits};
+use pb3dp_calibration::gates::{COVERAGE, Grade, Limits};
 use pb3dp_calibration::hand_eye::propose::{ProposalRequest, ProposeError, propose};
 use pb3dp_calibration::held_out::choose;
 use pb3dp_calibration::lens::LensModel;
@@ -80,8 +80,9 @@ fn the_board_stays_whole_and_the_views_calibrate_the_head() {
         (whole, all) = (whole + seen.len(), all + REQUEST.count);
         let chosen = choose(&seen, &board(), SIZE, &[LensModel::Brown4]).expect("a calibration");
         let quality = Quality::of_stereo(&chosen, &seen, SIZE, 0.5).expect("judged");
-        let verdicts = Limits::default().judge(&quality);
-        let bad: Vec<_> = verdicts.iter().filter(|v| v.grade() != Grade::Good).map(|v| (v.gate, v.measured)).collect();
+        let verdicts = Limits::of_cameras().judge_cameras(&quality);
+        let bad: Vec<_> =
+            verdicts.iter().filter(|v| v.grade() != Grade::Good).map(|v| (v.gate.key, v.measured)).collect();
         println!(
             "seed {seed}, focal length {:.0}: coverage predicted {:.2?}, measured {:.2}, tilt {:.0} deg; not good: {bad:?}",
             world.rig.left().pinhole().fx,
@@ -91,7 +92,7 @@ fn the_board_stays_whole_and_the_views_calibrate_the_head() {
         );
         coverages.push(quality.coverage);
         assert!(quality.tilt_deg >= 20.0, "seed {seed}: {}", quality.tilt_deg);
-        refused += usize::from(verdicts.iter().any(|v| v.grade() == Grade::Refused && v.gate != Gate::Coverage));
+        refused += usize::from(verdicts.iter().any(|v| v.grade() == Grade::Refused && v.gate != COVERAGE));
     }
     coverages.sort_by(f64::total_cmp);
     println!(

@@ -9,7 +9,7 @@
 
 use pb3dp_calibration::board::Chessboard;
 use pb3dp_calibration::fit::Fit;
-use pb3dp_calibration::gates::{Gate, Grade, Limits};
+use pb3dp_calibration::gates::{FLATNESS, FOCUS, Gate, Grade, HELD_OUT, Limits, MOTION, SCALE, TILT, VIEWS};
 use pb3dp_calibration::held_out::choose;
 use pb3dp_calibration::lens::LensModel;
 use pb3dp_calibration::quality::Quality;
@@ -135,9 +135,9 @@ fn judged(seed: u32, session: &Session, models: &[LensModel], (square_mm, exchan
         Ok(quality) => quality.with_known_baseline(&chosen.fit.rig().expect("a head"), ruler_m),
         Err(reason) => return error(&reason),
     };
-    let verdicts = Limits::default().judge(&quality);
+    let verdicts = Limits::of_cameras().judge_cameras(&quality);
     let gates: Vec<Gate> = verdicts.iter().filter(|v| v.grade() == Grade::Refused).map(|v| v.gate).collect();
-    let numbers: Vec<String> = verdicts.iter().map(|v| format!("{} {:.3}", v.gate.key(), v.measured)).collect();
+    let numbers: Vec<String> = verdicts.iter().map(|v| format!("{} {:.3}", v.gate.key, v.measured)).collect();
     Refusal { gates, told: numbers.join(", ") }
 }
 
@@ -172,35 +172,35 @@ const PLANTED: [Planted; 8] = [
         name: "wrong square size",
         session: |_| GOOD,
         typed: |random| ([24.0, 26.0, 20.0, 30.0, 52.0, 2.5][random.between(0.0, 6.0) as usize], false),
-        gates: &[Gate::Scale],
+        gates: &[SCALE],
         words: "",
     },
     Planted {
         name: "one camera refocused half way by 1 to 2 %",
         session: |random| Session { refocused: random.between(0.01, 0.02), ..GOOD },
         typed: AS_IT_IS,
-        gates: &[Gate::Focus],
+        gates: &[FOCUS],
         words: "",
     },
     Planted {
         name: "streaks of 3 to 8 px in all views",
         session: |_| Session { streak_max_px: 8.0, ..GOOD },
         typed: AS_IT_IS,
-        gates: &[Gate::Motion, Gate::HeldOut],
+        gates: &[MOTION, HELD_OUT],
         words: "",
     },
     Planted {
         name: "2 ms between the exposures of the cameras, board at 50 to 200 mm/s",
         session: |random| Session { moved_between_cameras_m: 0.002 * random.between(0.05, 0.2), ..GOOD },
         typed: AS_IT_IS,
-        gates: &[Gate::Motion],
+        gates: &[MOTION],
         words: "",
     },
     Planted {
         name: "a board bent by 2 mm",
         session: |_| Session { flatness_m: 0.002, ..GOOD },
         typed: AS_IT_IS,
-        gates: &[Gate::Flatness],
+        gates: &[FLATNESS],
         words: "",
     },
     Planted {
@@ -214,14 +214,14 @@ const PLANTED: [Planted; 8] = [
         name: "3 to 5 views",
         session: |random| Session { views: random.between(3.0, 6.0) as usize, ..GOOD },
         typed: AS_IT_IS,
-        gates: &[Gate::Views],
+        gates: &[VIEWS],
         words: "usable views of the board",
     },
     Planted {
         name: "views tilted by 6 degrees at most",
         session: |_| Session { tilt_max_rad: 0.1, ..GOOD },
         typed: AS_IT_IS,
-        gates: &[Gate::Tilt],
+        gates: &[TILT],
         words: "tilted",
     },
 ];

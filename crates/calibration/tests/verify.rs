@@ -11,11 +11,11 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 use pb3dp_calibration::board::Chessboard;
 use pb3dp_calibration::fit::Fit;
-use pb3dp_calibration::gates::Grade;
+use pb3dp_calibration::gates::{Grade, Limits};
 use pb3dp_calibration::lens::LensModel;
 use pb3dp_calibration::verify::against::{Known, compare};
 use pb3dp_calibration::verify::lens::decide_lens;
-use pb3dp_calibration::verify::limits::{Check, VerifyLimits};
+use pb3dp_calibration::verify::limits::{DIFFERENCE, SIGMAS};
 use pb3dp_calibration::verify::touch::{Touch, touched};
 use pb3dp_calibration::verify::{check, corner_in_cam_left, depth_sigma_m, length_ratio};
 use pb3dp_geometry::{Camera, Distortion, Pose, StereoRig, so3};
@@ -85,7 +85,7 @@ fn views_of_a_board_decide_an_unstated_lens_model() {
 #[test]
 fn two_calibrations_of_one_head_differ_by_chance_and_those_of_a_touched_one_do_not() {
     const HEADS: u32 = 30;
-    let limits = VerifyLimits::default();
+    let limits = Limits::of_checks();
     let (mut squares, mut refused) = (0.0, 0);
     for seed in 0..HEADS {
         let mut random = Random::new(4000 + seed);
@@ -93,13 +93,13 @@ fn two_calibrations_of_one_head_differ_by_chance_and_those_of_a_touched_one_do_n
         let [first, second] = [(); 2].map(|()| calibrated(&truth, &mut random));
         let sigmas = compare(&first, &second, 0.5).sigmas.expect("both say");
         squares += sigmas * sigmas;
-        refused += u32::from(limits.judge(Check::Sigmas, sigmas).grade == Grade::Refused);
+        refused += u32::from(limits.judge(SIGMAS, sigmas).grade() == Grade::Refused);
         let after = calibrated(&touched_head(&truth), &mut random);
         let comparison = compare(&first, &after, 0.5);
         let touched = comparison.sigmas.expect("both say");
-        assert_eq!(limits.judge(Check::Sigmas, touched).grade, Grade::Refused, "seed {seed}: {touched}");
+        assert_eq!(limits.judge(SIGMAS, touched).grade(), Grade::Refused, "seed {seed}: {touched}");
         let [depth_m, ..] = comparison.p95_m();
-        assert_eq!(limits.judge(Check::Difference, depth_m * 1e3).grade, Grade::Refused, "seed {seed}: {depth_m}");
+        assert_eq!(limits.judge(DIFFERENCE, depth_m * 1e3).grade(), Grade::Refused, "seed {seed}: {depth_m}");
     }
     let mean = squares / f64::from(HEADS);
     println!("same rig: mean square {mean:.2} of 1, {refused} of {HEADS} refused");

@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result};
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{ArmErrorKind, ArmState, JointCommand, JointState};
+use pb3dp_hal_api::{ArmErrorKind, ArmState, EnablePosition, JointCommand, JointState, PowerOrder};
 use pb3dp_kinematics::JointVector;
 use pb3dp_servo::supervisor::ArmCondition;
 use pb3dp_setup::setup::Setup;
@@ -85,12 +85,10 @@ impl LedArm {
     }
 
     fn begin_enable(&mut self, from: EnablePosition) -> Result<()> {
-        let begun = match from {
-            EnablePosition::Start => self.arm.begin_enable(),
-            EnablePosition::Here if self.arm.state() != ArmState::Disabled => return Ok(()),
-            EnablePosition::Here => self.arm.begin_enable_here(),
-        };
-        begun.with_context(|| self.not_enabled())?;
+        if from == EnablePosition::Here && self.arm.state() != ArmState::Disabled {
+            return Ok(());
+        }
+        self.arm.power(PowerOrder::BeginEnable(from)).map(drop).with_context(|| self.not_enabled())?;
         self.is_switching_on = true;
         Ok(())
     }
@@ -131,15 +129,6 @@ impl LedArm {
         self.is_switching_on = false;
         self.arm.stop().with_context(|| format!("{}: stop", self.name))
     }
-}
-
-/// Required position of the arms when they are enabled.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum EnablePosition {
-    /// The start position: elsewhere the first velocity is refused.
-    Start,
-    /// The position after a stop; an arm that is still enabled stays enabled.
-    Here,
 }
 
 /// Both arms.
@@ -301,6 +290,8 @@ mod tests {
     use std::time::Duration;
 
     use pb3dp_arm_pa10_emulation::mock::{MockArm, MockArmConfig, MockArmFaults};
+    use std::task::Poll;
+
     use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, Clock};
     use pb3dp_hal_clock::VirtualClock;
     use pb3dp_hal_middleware::{Limiter, LimiterStatistics, couple};
@@ -422,50 +413,28 @@ mod tests {
             }
         }
 
-        fn enable(&mut self) -> Result<(), ArmError> {
-            self.polls_left = 0;
-            Ok(())
-        }
-
-        fn begin_enable(&mut self) -> Result<(), ArmError> {
-            self.say("begin");
-            Ok(())
-        }
-
-        fn poll_enable(&mut self) -> Result<bool, ArmError> {
-            self.polls_left = self.polls_left.saturating_sub(1);
-            if self.polls_left == 0 {
-                self.say("on");
+        fn power(&mut self, order: PowerOrder) -> Result<Poll<()>, ArmError> {
+            match order {
+                PowerOrder::Enable(_) => self.polls_left = 0,
+                PowerOrder::BeginEnable(_) => self.say("begin"),
+                PowerOrder::PollEnable => {
+                    self.polls_left = self.polls_left.saturating_sub(1);
+                    if self.polls_left > 0 {
+                        return Ok(Poll::Pending);
+                    }
+                    self.say("on");
+                }
+                PowerOrder::BeginStop => self.say("begin to stop"),
+                PowerOrder::Stop => self.say("stop"),
+                PowerOrder::Reset => {}
             }
-            Ok(self.polls_left == 0)
-        }
-
-        fn begin_stop(&mut self) -> Result<(), ArmError> {
-            self.say("begin to stop");
-            Ok(())
-        }
-
-        fn stop(&mut self) -> Result<(), ArmError> {
-            self.say("stop");
-            Ok(())
-        }
-
-        fn reset(&mut self) -> Result<(), ArmError> {
-            Ok(())
+            Ok(Poll::Ready(()))
         }
     }
 
     impl DrivenArm for Slow {
         fn statistics(&self) -> LimiterStatistics {
             LimiterStatistics::default()
-        }
-
-        fn enable_here(&mut self) -> Result<(), ArmError> {
-            self.enable()
-        }
-
-        fn begin_enable_here(&mut self) -> Result<(), ArmError> {
-            self.begin_enable()
         }
     }
 

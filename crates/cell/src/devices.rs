@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use pb3dp_hal_api::{Arm, ArmError, ArmPower};
+use pb3dp_hal_api::{Arm, ArmPower};
 use pb3dp_hal_middleware::{Limiter, LimiterStatistics};
 use pb3dp_hal_platform::jitter::Jitter;
 use pb3dp_kinematics::DOF;
@@ -11,33 +11,11 @@ use pb3dp_kinematics::DOF;
 pub trait DrivenArm: Arm + ArmPower {
     /// How often the limiter has intervened.
     fn statistics(&self) -> LimiterStatistics;
-
-    /// As [`ArmPower::enable`], but an arm that has already begun at its start pose continues from its current pose.
-    ///
-    /// # Errors
-    /// As [`ArmPower::enable`].
-    fn enable_here(&mut self) -> Result<(), ArmError>;
-
-    /// As [`ArmPower::begin_enable`], for [`Self::enable_here`].
-    ///
-    /// # Errors
-    /// As [`ArmPower::enable`].
-    fn begin_enable_here(&mut self) -> Result<(), ArmError> {
-        self.enable_here()
-    }
 }
 
 impl<A: Arm + ArmPower> DrivenArm for Limiter<A> {
     fn statistics(&self) -> LimiterStatistics {
         Self::statistics(self)
-    }
-
-    fn enable_here(&mut self) -> Result<(), ArmError> {
-        Self::enable_here(self)
-    }
-
-    fn begin_enable_here(&mut self) -> Result<(), ArmError> {
-        Self::begin_enable_here(self)
     }
 }
 

@@ -25,6 +25,7 @@ pub mod devices;
 pub mod drift;
 pub mod experiment;
 pub mod figures;
+pub mod finding;
 pub mod flight;
 pub mod follower;
 pub mod halves;

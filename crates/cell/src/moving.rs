@@ -5,7 +5,7 @@ use std::time::Duration;
 use anyhow::{Result, bail};
 use pb3dp_geometry::frames::{Base, Model, Surface};
 use pb3dp_geometry::{MonotonicTime, Pose};
-use pb3dp_hal_api::{ArmError, ArmErrorKind, JointCommand, JointState};
+use pb3dp_hal_api::{ArmError, ArmErrorKind, EnablePosition, JointCommand, JointState};
 use pb3dp_kinematics::{Damping, JointVector};
 use pb3dp_servo::supervisor::{
     ArmCondition, Decision, Event, OperatorCommand, OperatorInput, OperatorRequest, Permission, State,
@@ -16,7 +16,7 @@ use pb3dp_sim::placement::FlangePath;
 use pb3dp_sim::trajectory::Trajectory;
 
 use super::aim::Aim;
-use super::both_arms::{BothArms, EnablePosition, LedArm, in_words};
+use super::both_arms::{BothArms, LedArm, in_words};
 use super::carrier::{carry, off_by};
 use super::devices::DrivenArm;
 use super::halves::Mover;

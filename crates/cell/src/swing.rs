@@ -8,13 +8,13 @@ use std::time::Duration;
 use anyhow::Result;
 use pb3dp_geometry::frames::{Base, CamLeft, Hand, Model};
 use pb3dp_geometry::{MonotonicTime, Pose};
-use pb3dp_hal_api::{JointCommand, JointState};
+use pb3dp_hal_api::{EnablePosition, JointCommand, JointState};
 use pb3dp_kinematics::{Damping, JointVector, damped_pseudo_inverse};
 use pb3dp_servo::TargetObservation;
 use pb3dp_servo::identification::{Excitation, GivenVelocity};
 use pb3dp_setup::setup::Setup;
 
-use super::both_arms::{BothArms, EnablePosition};
+use super::both_arms::BothArms;
 use super::capturing::Captured;
 use super::halves::{Capture, Course, Estimate, Mover, Parted, Record};
 use super::looking::{Estimating, Looking};

@@ -90,20 +90,13 @@ impl Fingerprint {
 
     /// The first difference, as recorded and as found.
     fn difference(&self, found: &Self) -> Option<String> {
-        let text = |name: &str, old: &dyn std::fmt::Display, new: &dyn std::fmt::Display| {
-            Some(format!("{name} is {new}, recorded {old}"))
+        let facts = |of: &Self| {
+            let (number, axes) = (of.arm_number.to_string(), of.eeprom_deg.len().to_string());
+            let names = ["the arm number", "the gateway", "the geometry", "the number of axes"];
+            names.into_iter().zip([number, of.gateway.clone(), of.geometry.clone(), axes])
         };
-        if self.arm_number != found.arm_number {
-            return text("the arm number", &self.arm_number, &found.arm_number);
-        }
-        if self.gateway != found.gateway {
-            return text("the gateway", &self.gateway, &found.gateway);
-        }
-        if self.geometry != found.geometry {
-            return text("the geometry", &self.geometry, &found.geometry);
-        }
-        if self.eeprom_deg.len() != found.eeprom_deg.len() {
-            return text("the number of axes", &self.eeprom_deg.len(), &found.eeprom_deg.len());
+        if let Some(((name, old), (_, new))) = facts(self).zip(facts(found)).find(|(old, new)| old != new) {
+            return Some(format!("{name} is {new}, recorded {old}"));
         }
         let mut axes = self.eeprom_deg.iter().zip(&found.eeprom_deg).enumerate();
         axes.find_map(|(axis, (old, new))| {

@@ -6,7 +6,7 @@ use pb3dp_cell::journal::TruePoses;
 use pb3dp_cell::moving::Moved;
 use pb3dp_cell::operator::MotionRequest;
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{JointCommand, JointState};
+use pb3dp_hal_api::{EnablePosition, JointCommand, JointState, PowerOrder};
 use pb3dp_servo::supervisor::OperatorInput;
 use rtrb::Consumer;
 
@@ -168,14 +168,14 @@ pub fn call_word(call: &Call) -> &'static str {
     match call {
         Call::Exchange(JointCommand::Velocity(_)) => "move",
         Call::Exchange(JointCommand::Hold) => "hold",
-        Call::Enable { here: false, is_begun_only: false } => "enable",
-        Call::Enable { here: true, is_begun_only: false } => "enable here",
-        Call::Enable { here: false, is_begun_only: true } => "begin enable",
-        Call::Enable { here: true, is_begun_only: true } => "begin enable here",
-        Call::PollEnable => "poll enable",
-        Call::BeginStop => "begin stop",
-        Call::Stop => "stop",
-        Call::Reset => "reset",
+        Call::Power(PowerOrder::Enable(EnablePosition::Start)) => "enable",
+        Call::Power(PowerOrder::Enable(EnablePosition::Here)) => "enable here",
+        Call::Power(PowerOrder::BeginEnable(EnablePosition::Start)) => "begin enable",
+        Call::Power(PowerOrder::BeginEnable(EnablePosition::Here)) => "begin enable here",
+        Call::Power(PowerOrder::PollEnable) => "poll enable",
+        Call::Power(PowerOrder::BeginStop) => "begin stop",
+        Call::Power(PowerOrder::Stop) => "stop",
+        Call::Power(PowerOrder::Reset) => "reset",
     }
 }
 

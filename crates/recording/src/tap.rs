@@ -5,11 +5,12 @@
 
 use std::cell::Cell;
 use std::sync::{Arc, Mutex};
+use std::task::Poll;
 
 use pb3dp_cell::operator::{MotionRequest, Operator};
 use pb3dp_cell::parts::DrivenArm;
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand, JointState};
+use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand, JointState, PowerOrder};
 use pb3dp_hal_middleware::LimiterStatistics;
 use pb3dp_servo::supervisor::{Decision, OperatorInput};
 use rtrb::{Consumer, Producer, RingBuffer};
@@ -48,16 +49,8 @@ pub enum Told {
 pub enum Call {
     /// One cycle.
     Exchange(JointCommand),
-    /// To enable, from the start pose or from here; at once or begun only.
-    Enable { here: bool, is_begun_only: bool },
-    /// Whether it is enabled.
-    PollEnable,
-    /// The stop order.
-    BeginStop,
-    /// To stop.
-    Stop,
-    /// To clear a latched fault.
-    Reset,
+    /// An order to drives and brakes.
+    Power(PowerOrder),
 }
 
 /// The answer to a call.
@@ -187,10 +180,6 @@ impl Arm for TappedArm {
     }
 }
 
-fn done(_: &()) -> Answer {
-    Answer::Done
-}
-
 impl ArmPower for TappedArm {
     fn state(&self) -> ArmState {
         let state = self.inner.state();
@@ -204,50 +193,16 @@ impl ArmPower for TappedArm {
         is
     }
 
-    fn enable(&mut self) -> Result<(), ArmError> {
-        let answer = self.inner.enable();
-        self.called(Call::Enable { here: false, is_begun_only: false }, answer, done)
-    }
-
-    fn begin_enable(&mut self) -> Result<(), ArmError> {
-        let answer = self.inner.begin_enable();
-        self.called(Call::Enable { here: false, is_begun_only: true }, answer, done)
-    }
-
-    fn poll_enable(&mut self) -> Result<bool, ArmError> {
-        let answer = self.inner.poll_enable();
-        self.called(Call::PollEnable, answer, |is_on| if *is_on { Answer::Done } else { Answer::Pending })
-    }
-
-    fn begin_stop(&mut self) -> Result<(), ArmError> {
-        let answer = self.inner.begin_stop();
-        self.called(Call::BeginStop, answer, done)
-    }
-
-    fn stop(&mut self) -> Result<(), ArmError> {
-        let answer = self.inner.stop();
-        self.called(Call::Stop, answer, done)
-    }
-
-    fn reset(&mut self) -> Result<(), ArmError> {
-        let answer = self.inner.reset();
-        self.called(Call::Reset, answer, done)
+    fn power(&mut self, order: PowerOrder) -> Result<Poll<()>, ArmError> {
+        let answer = self.inner.power(order);
+        let meaning = |progress: &Poll<()>| if progress.is_ready() { Answer::Done } else { Answer::Pending };
+        self.called(Call::Power(order), answer, meaning)
     }
 }
 
 impl DrivenArm for TappedArm {
     fn statistics(&self) -> LimiterStatistics {
         self.inner.statistics()
-    }
-
-    fn enable_here(&mut self) -> Result<(), ArmError> {
-        let answer = self.inner.enable_here();
-        self.called(Call::Enable { here: true, is_begun_only: false }, answer, done)
-    }
-
-    fn begin_enable_here(&mut self) -> Result<(), ArmError> {
-        let answer = self.inner.begin_enable_here();
-        self.called(Call::Enable { here: true, is_begun_only: true }, answer, done)
     }
 }
 

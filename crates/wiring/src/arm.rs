@@ -2,6 +2,7 @@
 
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
+use std::task::Poll;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
@@ -22,7 +23,7 @@ use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_cell::cell::{ArmSite, JointSource};
 use pb3dp_cell::flight::FLIGHT;
 use pb3dp_cell::parts::{ArmOnBus, DrivenArm, EmulatedArm, GatewayLimits, LinkCounts, LinkMonitor, StopOrder};
-use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
+use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState, PowerOrder};
 use pb3dp_hal_middleware::{FlightLog, Guard, Limiter, Recorded, couple};
 use pb3dp_hal_platform::jitter::Jitter;
 use pb3dp_hal_platform::only_program::OnlyProgram;
@@ -554,27 +555,7 @@ impl<A: ArmPower> ArmPower for Tapped<A> {
         self.arm.is_stopped_by_other()
     }
 
-    fn enable(&mut self) -> Result<(), ArmError> {
-        self.arm.enable()
-    }
-
-    fn begin_enable(&mut self) -> Result<(), ArmError> {
-        self.arm.begin_enable()
-    }
-
-    fn poll_enable(&mut self) -> Result<bool, ArmError> {
-        self.arm.poll_enable()
-    }
-
-    fn begin_stop(&mut self) -> Result<(), ArmError> {
-        self.arm.begin_stop()
-    }
-
-    fn stop(&mut self) -> Result<(), ArmError> {
-        self.arm.stop()
-    }
-
-    fn reset(&mut self) -> Result<(), ArmError> {
-        self.arm.reset()
+    fn power(&mut self, order: PowerOrder) -> Result<Poll<()>, ArmError> {
+        self.arm.power(order)
     }
 }

@@ -1,6 +1,7 @@
 //! The arm traits and their data.
 
 use std::sync::Arc;
+use std::task::Poll;
 use std::time::Duration;
 
 use pb3dp_kinematics::{JointState, JointVector};
@@ -151,13 +152,40 @@ pub trait Arm: Send {
     fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError>;
 }
 
-/// Drives and brakes of an arm.
+/// An order to the drives and brakes of an arm.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PowerOrder {
+    /// Enables the drives.
+    Enable(EnablePosition),
+    /// Begins to enable the drives. An arm that enables at once does so.
+    BeginEnable(EnablePosition),
+    /// Whether the drives, which began to be enabled, are enabled; to be given in each cycle, and not after an error.
+    PollEnable,
+    /// Gives the stop order; [`Self::Stop`] must follow. Two arms can thus be stopped at the same time.
+    BeginStop,
+    /// Stops the arm and disables the drives.
+    Stop,
+    /// Clears a latched fault or emergency stop.
+    Reset,
+}
+
+/// Required position of an arm when it is enabled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EnablePosition {
+    /// The start position: elsewhere the first velocity is refused.
+    Start,
+    /// The current position, if the arm was at its start position before.
+    Here,
+}
+
+/// Drives and brakes of an arm. [`Self::power`] carries out every order; the other methods give one order each.
 ///
 /// # For backend authors
 /// * `enable` succeeds only from `Disabled`; it never clears a fault. Afterwards the arm is stationary and holds.
 /// * If `enable` takes time, `begin_enable` returns at once, and `poll_enable` reports when it is done. `exchange` measures
 ///   meanwhile, so that the caller monitors this arm, and every other arm, from the moment when its brakes open. A wrapper of an
-///   arm forwards both calls.
+///   arm forwards every order.
+/// * Only the limiter of an arm regards the [`EnablePosition`].
 /// * If `stop` takes time, `begin_stop` gives the order and returns at once; `stop` waits until the arm has stopped.
 /// * `stop` ramps to standstill, closes the brakes and is harmless when repeated; it leads to `Disabled`, or leaves a latched
 ///   state.
@@ -172,47 +200,60 @@ pub trait ArmPower: Send {
         false
     }
 
-    /// Enables the drives.
+    /// Carries out an order. `Pending` answers only [`PowerOrder::PollEnable`].
     ///
     /// # Errors
-    /// `Fault` or `Rejected` with the reason.
-    fn enable(&mut self) -> Result<(), ArmError>;
+    /// To enable: `Fault` or `Rejected` with the reason; then the arm must be stopped if it had begun. To stop: the arm cannot be reached.
+    /// To reset: the cause is still present.
+    fn power(&mut self, order: PowerOrder) -> Result<Poll<()>, ArmError>;
 
-    /// Begins to enable the drives. An arm that enables at once has nothing to begin.
+    /// [`PowerOrder::Enable`] at the start position.
     ///
     /// # Errors
-    /// As [`Self::enable`].
+    /// As [`Self::power`].
+    fn enable(&mut self) -> Result<(), ArmError> {
+        self.power(PowerOrder::Enable(EnablePosition::Start)).map(drop)
+    }
+
+    /// [`PowerOrder::BeginEnable`] at the start position.
+    ///
+    /// # Errors
+    /// As [`Self::power`].
     fn begin_enable(&mut self) -> Result<(), ArmError> {
-        self.enable()
+        self.power(PowerOrder::BeginEnable(EnablePosition::Start)).map(drop)
     }
 
-    /// Whether the operation started by [`Self::begin_enable`] is complete; to be called in each cycle, and not after an error.
+    /// [`PowerOrder::PollEnable`]: whether the drives are enabled.
     ///
     /// # Errors
-    /// As [`Self::enable`]. Then the arm must be stopped.
+    /// As [`Self::power`].
     fn poll_enable(&mut self) -> Result<bool, ArmError> {
-        Ok(true)
+        self.power(PowerOrder::PollEnable).map(|progress| progress.is_ready())
     }
 
-    /// Gives the stop order; [`Self::stop`] must follow. Two arms can thus be stopped at the same time.
+    /// [`PowerOrder::BeginStop`].
     ///
     /// # Errors
-    /// The arm cannot be reached.
+    /// As [`Self::power`].
     fn begin_stop(&mut self) -> Result<(), ArmError> {
-        Ok(())
+        self.power(PowerOrder::BeginStop).map(drop)
     }
 
-    /// Stops the arm and disables the drives.
+    /// [`PowerOrder::Stop`].
     ///
     /// # Errors
-    /// The arm cannot be reached.
-    fn stop(&mut self) -> Result<(), ArmError>;
+    /// As [`Self::power`].
+    fn stop(&mut self) -> Result<(), ArmError> {
+        self.power(PowerOrder::Stop).map(drop)
+    }
 
-    /// Clears a latched fault or emergency stop.
+    /// [`PowerOrder::Reset`].
     ///
     /// # Errors
-    /// The cause is still present.
-    fn reset(&mut self) -> Result<(), ArmError>;
+    /// As [`Self::power`].
+    fn reset(&mut self) -> Result<(), ArmError> {
+        self.power(PowerOrder::Reset).map(drop)
+    }
 }
 
 impl<A: Arm + ?Sized> Arm for Box<A> {
@@ -234,27 +275,7 @@ impl<A: ArmPower + ?Sized> ArmPower for Box<A> {
         (**self).is_stopped_by_other()
     }
 
-    fn enable(&mut self) -> Result<(), ArmError> {
-        (**self).enable()
-    }
-
-    fn begin_enable(&mut self) -> Result<(), ArmError> {
-        (**self).begin_enable()
-    }
-
-    fn poll_enable(&mut self) -> Result<bool, ArmError> {
-        (**self).poll_enable()
-    }
-
-    fn begin_stop(&mut self) -> Result<(), ArmError> {
-        (**self).begin_stop()
-    }
-
-    fn stop(&mut self) -> Result<(), ArmError> {
-        (**self).stop()
-    }
-
-    fn reset(&mut self) -> Result<(), ArmError> {
-        (**self).reset()
+    fn power(&mut self, order: PowerOrder) -> Result<Poll<()>, ArmError> {
+        (**self).power(order)
     }
 }

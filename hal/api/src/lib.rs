@@ -12,7 +12,7 @@ mod codes;
 pub mod recent;
 pub mod stereo_camera;
 
-pub use arm::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand};
+pub use arm::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, EnablePosition, JointCommand, PowerOrder};
 pub use clock::Clock;
 pub use pb3dp_kinematics::JointState;
 pub use recent::RecentFailures;

@@ -4,10 +4,11 @@
 //! caller may advance the shared plant to the present time of the clock, not beyond.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::Poll;
 use std::time::Duration;
 
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand};
+use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, PowerOrder};
 use pb3dp_kinematics::{DOF, JointState, JointVector};
 use pb3dp_sim::joint_dynamics::JointPlant;
 
@@ -251,7 +252,19 @@ impl ArmPower for MockArm {
         control.state
     }
 
-    fn enable(&mut self) -> Result<(), ArmError> {
+    fn power(&mut self, order: PowerOrder) -> Result<Poll<()>, ArmError> {
+        let done = match order {
+            PowerOrder::Enable(_) | PowerOrder::BeginEnable(_) => self.enable_drives(),
+            PowerOrder::PollEnable | PowerOrder::BeginStop => Ok(()),
+            PowerOrder::Stop => self.stop_drives(),
+            PowerOrder::Reset => self.clear_latch(),
+        };
+        done.map(Poll::Ready)
+    }
+}
+
+impl MockArm {
+    fn enable_drives(&self) -> Result<(), ArmError> {
         let shared = &self.shared;
         let mut control = shared.control();
         shared.check_link(&control)?;
@@ -271,7 +284,7 @@ impl ArmPower for MockArm {
         Ok(())
     }
 
-    fn stop(&mut self) -> Result<(), ArmError> {
+    fn stop_drives(&self) -> Result<(), ArmError> {
         let shared = &self.shared;
         {
             let mut control = shared.control();
@@ -301,7 +314,7 @@ impl ArmPower for MockArm {
         }
     }
 
-    fn reset(&mut self) -> Result<(), ArmError> {
+    fn clear_latch(&self) -> Result<(), ArmError> {
         let shared = &self.shared;
         let mut control = shared.control();
         control.unplugged &= !control.plugged_in;

@@ -5,13 +5,14 @@
 
 #![allow(missing_docs, reason = "generated expectations; the methods are those of the traits")]
 
+use std::task::Poll;
 use std::time::Duration;
 
 use mockall::mock;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{
-    Arm, ArmError, ArmInfo, ArmPower, ArmState, CameraError, Clock, FramePair, JointCommand, JointState, StereoCamera,
-    StereoCameraInfo,
+    Arm, ArmError, ArmInfo, ArmPower, ArmState, CameraError, Clock, FramePair, JointCommand, JointState, PowerOrder,
+    StereoCamera, StereoCameraInfo,
 };
 
 mock! {
@@ -26,10 +27,7 @@ mock! {
     impl ArmPower for ScriptedArm {
         fn state(&self) -> ArmState;
         fn is_stopped_by_other(&self) -> bool;
-        fn begin_enable(&mut self) -> Result<(), ArmError>;
-        fn enable(&mut self) -> Result<(), ArmError>;
-        fn stop(&mut self) -> Result<(), ArmError>;
-        fn reset(&mut self) -> Result<(), ArmError>;
+        fn power(&mut self, order: PowerOrder) -> Result<Poll<()>, ArmError>;
     }
 }
 

@@ -1,10 +1,13 @@
 //! Each rule of the arm suite detects an arm that breaks it, and a good arm passes.
 
 use std::sync::Arc;
+use std::task::Poll;
 use std::time::Duration;
 
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
+use pb3dp_hal_api::{
+    Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState, PowerOrder,
+};
 use pb3dp_hal_clock::VirtualClock;
 use pb3dp_hal_conformance::{ArmExpectations, ArmHooks, Report, arm_suite};
 use pb3dp_kinematics::JointVector;
@@ -207,7 +210,19 @@ impl ArmPower for TestArm {
         self.state
     }
 
-    fn enable(&mut self) -> Result<(), ArmError> {
+    fn power(&mut self, order: PowerOrder) -> Result<Poll<()>, ArmError> {
+        let done = match order {
+            PowerOrder::Enable(_) | PowerOrder::BeginEnable(_) => self.enable_drives(),
+            PowerOrder::PollEnable | PowerOrder::BeginStop => Ok(()),
+            PowerOrder::Stop => self.stop_drives(),
+            PowerOrder::Reset => self.clear_latch(),
+        };
+        done.map(Poll::Ready)
+    }
+}
+
+impl TestArm {
+    fn enable_drives(&mut self) -> Result<(), ArmError> {
         match self.state {
             _ if self.is(Defect::EnableFails) => return Err(self.refuse(ArmErrorKind::Rejected)),
             ArmState::Disabled => {}
@@ -223,7 +238,7 @@ impl ArmPower for TestArm {
         Ok(())
     }
 
-    fn stop(&mut self) -> Result<(), ArmError> {
+    fn stop_drives(&mut self) -> Result<(), ArmError> {
         self.stops += 1;
         self.rest_unless(Defect::StopRunsOn);
         let latched = matches!(self.state, ArmState::Fault | ArmState::EStop) && !self.is(Defect::StopClearsFault);
@@ -236,7 +251,7 @@ impl ArmPower for TestArm {
         Ok(())
     }
 
-    fn reset(&mut self) -> Result<(), ArmError> {
+    fn clear_latch(&mut self) -> Result<(), ArmError> {
         let too_early = self.cause.is_some() && !self.is(Defect::ResetsTooEarly);
         if too_early || self.is(Defect::ResetFails) {
             return Err(self.refuse(ArmErrorKind::Fault));

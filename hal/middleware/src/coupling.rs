@@ -1,11 +1,14 @@
 //! Two arms in one workcell: a stop of one stops the other, and neither gets a command that leads to a collision.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::Poll;
 use std::time::Duration;
 
 use pb3dp_geometry::frames::{Base, World};
 use pb3dp_geometry::{MonotonicTime, Pose};
-use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
+use pb3dp_hal_api::{
+    Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState, PowerOrder,
+};
 use pb3dp_kinematics::{ArmShape, Chain, DOF, EffectiveLimits, JointVector, PlacedArm, clearance_within};
 
 use crate::last_command::{CommandFade, LastCommand};
@@ -314,6 +317,22 @@ impl<A: Arm + ArmPower> Coupled<A> {
         self.cell().sides[self.side].last.note_hold(now);
     }
 
+    /// It is no longer stopped by itself; its latch ends unless the other one is still stopped.
+    fn note_reset(&self) -> Result<(), ArmError> {
+        let mut cell = self.cell();
+        cell.sides[self.side].stopped = None;
+        if let Some(reason) = cell.sides[1 - self.side].stopped.clone() {
+            let name = cell.sides[1 - self.side].name.clone();
+            drop(cell);
+            let text = format!("arm {name} is still stopped ({reason}); reset that arm, then this one");
+            return Err(self.error(ArmErrorKind::Fault, &text));
+        }
+        cell.sides[self.side].latched = None;
+        cell.sides[self.side].last.note_rest();
+        cell.held_m = None;
+        Ok(())
+    }
+
     /// Forwards a hold, and stops both arms if they come closer meanwhile.
     fn hold(&mut self, now: MonotonicTime) -> Result<JointState, ArmError> {
         let sample = self.forward(JointCommand::Hold, now)?;
@@ -411,53 +430,20 @@ impl<A: Arm + ArmPower> ArmPower for Coupled<A> {
         own.stopped.is_none() && (own.latched.is_some() || self.arm.is_stopped_by_other())
     }
 
-    fn enable(&mut self) -> Result<(), ArmError> {
-        self.check_latched()?;
-        self.arm.enable()?;
-        self.note_enabled();
-        Ok(())
-    }
-
-    fn begin_enable(&mut self) -> Result<(), ArmError> {
-        self.check_latched()?;
-        self.arm.begin_enable()
-    }
-
-    fn poll_enable(&mut self) -> Result<bool, ArmError> {
-        self.check_latched()?;
-        let is_on = self.arm.poll_enable()?;
-        if is_on {
-            self.note_enabled();
+    fn power(&mut self, order: PowerOrder) -> Result<Poll<()>, ArmError> {
+        match order {
+            PowerOrder::Enable(_) | PowerOrder::BeginEnable(_) | PowerOrder::PollEnable => self.check_latched()?,
+            PowerOrder::BeginStop | PowerOrder::Stop => self.note_stop(),
+            PowerOrder::Reset if self.latched().is_some() => close_brakes(&mut self.arm)?,
+            PowerOrder::Reset => {}
         }
-        Ok(is_on)
-    }
-
-    fn begin_stop(&mut self) -> Result<(), ArmError> {
-        self.note_stop();
-        self.arm.begin_stop()
-    }
-
-    fn stop(&mut self) -> Result<(), ArmError> {
-        self.note_stop();
-        self.arm.stop()
-    }
-
-    fn reset(&mut self) -> Result<(), ArmError> {
-        if self.latched().is_some() {
-            close_brakes(&mut self.arm)?;
+        let progress = self.arm.power(order)?;
+        match order {
+            PowerOrder::Enable(_) => self.note_enabled(),
+            PowerOrder::PollEnable if progress.is_ready() => self.note_enabled(),
+            PowerOrder::Reset => self.note_reset()?,
+            _ => {}
         }
-        self.arm.reset()?;
-        let mut cell = self.cell();
-        cell.sides[self.side].stopped = None;
-        if let Some(reason) = cell.sides[1 - self.side].stopped.clone() {
-            let name = cell.sides[1 - self.side].name.clone();
-            drop(cell);
-            let text = format!("arm {name} is still stopped ({reason}); reset that arm, then this one");
-            return Err(self.error(ArmErrorKind::Fault, &text));
-        }
-        cell.sides[self.side].latched = None;
-        cell.sides[self.side].last.note_rest();
-        cell.held_m = None;
-        Ok(())
+        Ok(progress)
     }
 }

@@ -1,9 +1,10 @@
 //! The guard: compares the motion of an arm with its commands and with the abilities of the arm.
 
+use std::task::Poll;
 use std::time::Duration;
 
 use pb3dp_hal_api::{
-    Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand, JointState, RecentFailures,
+    Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand, JointState, PowerOrder, RecentFailures,
 };
 use pb3dp_kinematics::{DOF, EffectiveLimits, JointLimits, JointLimitsError, JointVector};
 
@@ -335,14 +336,6 @@ impl<A: Arm> Guard<A> {
         self.recent_jumps.clear();
     }
 
-    /// Prepares for enabling, unless the arm is stopped.
-    fn prepare(&mut self) -> Result<(), ArmError> {
-        self.check_latched()?;
-        self.is_switching_on = false;
-        self.forget();
-        Ok(())
-    }
-
     fn check_latched(&self) -> Result<(), ArmError> {
         self.latched.as_ref().map_or(Ok(()), |reason| Err(self.stopped_error(reason)))
     }
@@ -393,42 +386,31 @@ impl<A: Arm + ArmPower> ArmPower for Guard<A> {
         self.latched.is_none() && self.arm.is_stopped_by_other()
     }
 
-    fn enable(&mut self) -> Result<(), ArmError> {
-        self.prepare()?;
-        self.arm.enable()
-    }
-
-    fn begin_enable(&mut self) -> Result<(), ArmError> {
-        self.prepare()?;
-        self.is_switching_on = true;
-        self.arm.begin_enable()
-    }
-
-    fn poll_enable(&mut self) -> Result<bool, ArmError> {
-        self.check_latched()?;
-        let is_on = self.arm.poll_enable()?;
-        self.is_switching_on = !is_on;
-        Ok(is_on)
-    }
-
-    fn begin_stop(&mut self) -> Result<(), ArmError> {
-        self.arm.begin_stop()
-    }
-
-    fn stop(&mut self) -> Result<(), ArmError> {
-        self.is_switching_on = false;
-        self.forget();
-        self.arm.stop()
-    }
-
-    fn reset(&mut self) -> Result<(), ArmError> {
-        if self.latched.is_some() {
-            close_brakes(&mut self.arm)?;
+    fn power(&mut self, order: PowerOrder) -> Result<Poll<()>, ArmError> {
+        match order {
+            PowerOrder::Enable(_) | PowerOrder::BeginEnable(_) => {
+                self.check_latched()?;
+                self.forget();
+                self.is_switching_on = matches!(order, PowerOrder::BeginEnable(_));
+            }
+            PowerOrder::PollEnable => self.check_latched()?,
+            PowerOrder::Stop => {
+                self.is_switching_on = false;
+                self.forget();
+            }
+            PowerOrder::Reset if self.latched.is_some() => close_brakes(&mut self.arm)?,
+            PowerOrder::BeginStop | PowerOrder::Reset => {}
         }
-        self.arm.reset()?;
-        self.forget();
-        self.latched = None;
-        Ok(())
+        let progress = self.arm.power(order)?;
+        match order {
+            PowerOrder::PollEnable => self.is_switching_on = progress.is_pending(),
+            PowerOrder::Reset => {
+                self.forget();
+                self.latched = None;
+            }
+            _ => {}
+        }
+        Ok(progress)
     }
 }
 

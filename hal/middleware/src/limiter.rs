@@ -1,10 +1,14 @@
 //! The limiter.
 
 use std::sync::Arc;
+use std::task::Poll;
 use std::time::Duration;
 
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
+use pb3dp_hal_api::{
+    Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, EnablePosition, JointCommand, JointState,
+    PowerOrder,
+};
 use pb3dp_kinematics::{DOF, EffectiveLimits, JointVector};
 
 use crate::guard::LIMIT_ROUNDING_RAD;
@@ -150,35 +154,6 @@ impl<A: Arm> Limiter<A> {
     /// Counters so far.
     pub fn statistics(&self) -> LimiterStatistics {
         self.statistics
-    }
-
-    /// As [`ArmPower::enable`]; an arm that has been at its start pose before may start from its present pose, for example after a
-    /// stop. This remains valid if enabling fails at first.
-    ///
-    /// # Errors
-    /// As [`ArmPower::enable`].
-    pub fn enable_here(&mut self) -> Result<(), ArmError>
-    where
-        A: ArmPower,
-    {
-        let started = self.started;
-        let enabled = self.enable();
-        self.started = started;
-        enabled
-    }
-
-    /// As [`Self::enable_here`], with [`ArmPower::begin_enable`].
-    ///
-    /// # Errors
-    /// As [`ArmPower::enable`].
-    pub fn begin_enable_here(&mut self) -> Result<(), ArmError>
-    where
-        A: ArmPower,
-    {
-        let started = self.started;
-        let begun = self.begin_enable();
-        self.started = started;
-        begun
     }
 
     /// Forgets all earlier samples and commands.
@@ -342,32 +317,19 @@ impl<A: Arm + ArmPower> ArmPower for Limiter<A> {
         self.arm.is_stopped_by_other()
     }
 
-    fn enable(&mut self) -> Result<(), ArmError> {
-        self.forget();
-        self.arm.enable()
-    }
-
-    fn begin_enable(&mut self) -> Result<(), ArmError> {
-        self.forget();
-        self.arm.begin_enable()
-    }
-
-    fn poll_enable(&mut self) -> Result<bool, ArmError> {
-        self.arm.poll_enable()
-    }
-
-    fn begin_stop(&mut self) -> Result<(), ArmError> {
-        self.arm.begin_stop()
-    }
-
-    fn stop(&mut self) -> Result<(), ArmError> {
-        self.last.note_rest();
-        self.arm.stop()
-    }
-
-    fn reset(&mut self) -> Result<(), ArmError> {
-        self.last.note_rest();
-        self.arm.reset()
+    /// With [`EnablePosition::Here`] an arm that has been at its start pose before may start from its present pose, for example after a
+    /// stop. This remains valid if enabling fails at first.
+    fn power(&mut self, order: PowerOrder) -> Result<Poll<()>, ArmError> {
+        match order {
+            PowerOrder::Enable(from) | PowerOrder::BeginEnable(from) => {
+                let started = self.started && from == EnablePosition::Here;
+                self.forget();
+                self.started = started;
+            }
+            PowerOrder::Stop | PowerOrder::Reset => self.last.note_rest(),
+            PowerOrder::PollEnable | PowerOrder::BeginStop => {}
+        }
+        self.arm.power(order)
     }
 }
 

@@ -2,9 +2,12 @@
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::Poll;
 
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
+use pb3dp_hal_api::{
+    Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState, PowerOrder,
+};
 
 /// One exchange, or one operation of drives and brakes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -89,34 +92,6 @@ impl<A> Recorded<A> {
     }
 }
 
-impl<A: Arm + ArmPower> Recorded<A> {
-    fn switch(
-        &mut self,
-        asked: RecordedRequest,
-        act: impl FnOnce(&mut A) -> Result<(), ArmError>,
-    ) -> Result<(), ArmError> {
-        let at = self.clock.now();
-        let result = act(&mut self.arm);
-        self.note_switched(at, asked, result.as_ref().err().map(ArmError::kind));
-        result
-    }
-
-    fn note_switched(&self, at: MonotonicTime, asked: RecordedRequest, failed: Option<ArmErrorKind>) {
-        let answer = failed.map_or(Ok(None), Err);
-        self.log.push(FlightEntry { at, done: self.clock.now(), asked, answer, state: self.arm.state() });
-    }
-
-    /// Enabling is one entry, from its start to its end.
-    fn note_enabling<T>(&mut self, result: Result<T, ArmError>, is_done: impl Fn(&T) -> bool) -> Result<T, ArmError> {
-        if result.as_ref().map_or(true, is_done)
-            && let Some(since) = self.enabling_since.take()
-        {
-            self.note_switched(since, RecordedRequest::Enable, result.as_ref().err().map(ArmError::kind));
-        }
-        result
-    }
-}
-
 impl<A: Arm + ArmPower> Arm for Recorded<A> {
     fn info(&self) -> &ArmInfo {
         self.arm.info()
@@ -141,30 +116,28 @@ impl<A: Arm + ArmPower> ArmPower for Recorded<A> {
         self.arm.is_stopped_by_other()
     }
 
-    fn enable(&mut self) -> Result<(), ArmError> {
-        self.switch(RecordedRequest::Enable, A::enable)
-    }
-
-    fn begin_enable(&mut self) -> Result<(), ArmError> {
-        self.enabling_since = Some(self.clock.now());
-        let begun = self.arm.begin_enable();
-        self.note_enabling(begun, |()| false)
-    }
-
-    fn poll_enable(&mut self) -> Result<bool, ArmError> {
-        let polled = self.arm.poll_enable();
-        self.note_enabling(polled, |is_on| *is_on)
-    }
-
-    fn begin_stop(&mut self) -> Result<(), ArmError> {
-        self.arm.begin_stop()
-    }
-
-    fn stop(&mut self) -> Result<(), ArmError> {
-        self.switch(RecordedRequest::Stop, A::stop)
-    }
-
-    fn reset(&mut self) -> Result<(), ArmError> {
-        self.switch(RecordedRequest::Reset, A::reset)
+    fn power(&mut self, order: PowerOrder) -> Result<Poll<()>, ArmError> {
+        let at = self.clock.now();
+        if let PowerOrder::BeginEnable(_) = order {
+            self.enabling_since = Some(at);
+        }
+        let result = self.arm.power(order);
+        let ended = match order {
+            PowerOrder::Enable(_) => Some((at, RecordedRequest::Enable)),
+            // Enabling is one entry, from its start to its end.
+            PowerOrder::BeginEnable(_) if result.is_ok() => None,
+            PowerOrder::PollEnable if matches!(result, Ok(Poll::Pending)) => None,
+            PowerOrder::BeginEnable(_) | PowerOrder::PollEnable => {
+                self.enabling_since.take().map(|since| (since, RecordedRequest::Enable))
+            }
+            PowerOrder::BeginStop => None,
+            PowerOrder::Stop => Some((at, RecordedRequest::Stop)),
+            PowerOrder::Reset => Some((at, RecordedRequest::Reset)),
+        };
+        if let Some((at, asked)) = ended {
+            let answer = result.as_ref().map(|_| None).map_err(ArmError::kind);
+            self.log.push(FlightEntry { at, done: self.clock.now(), asked, answer, state: self.arm.state() });
+        }
+        result
     }
 }

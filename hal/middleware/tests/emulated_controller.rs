@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 use std::sync::{Arc, Mutex, MutexGuard};
+use std::task::Poll;
 use std::time::Duration;
 
 use pb3dp_arm_pa10::driver::{DriverConfig, DriverState, FaultCause, Request, Trip};
@@ -11,7 +12,9 @@ use pb3dp_arm_pa10_emulation::mock_controller::MockControllerConfig;
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
 use pb3dp_arm_pa10_test_support::bus_bench::{self, AT_REST_RAD_PER_S, BUS_CYCLE, BusBench, HOST_CYCLE, plant_config};
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
+use pb3dp_hal_api::{
+    Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState, PowerOrder,
+};
 use pb3dp_hal_middleware::{CommandFade, Guard, GuardConfig, Limiter, LimiterConfig};
 use pb3dp_kinematics::{EffectiveLimits, JointLimits, JointVector, StatedLimits};
 use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig};
@@ -81,22 +84,23 @@ impl ArmPower for VirtualArm {
         }
     }
 
-    fn enable(&mut self) -> Result<(), ArmError> {
-        self.request(&[Request::Enable, Request::ReleaseBrakes]);
-        Ok(())
-    }
-
-    fn stop(&mut self) -> Result<(), ArmError> {
-        self.request(&[Request::Stop]);
-        Ok(())
-    }
-
-    fn reset(&mut self) -> Result<(), ArmError> {
-        if self.bench().driver.state().is_latched() {
-            self.request(&[Request::Reset]);
+    fn power(&mut self, order: PowerOrder) -> Result<Poll<()>, ArmError> {
+        match order {
+            PowerOrder::Enable(_) | PowerOrder::BeginEnable(_) => {
+                self.request(&[Request::Enable, Request::ReleaseBrakes]);
+            }
+            PowerOrder::PollEnable | PowerOrder::BeginStop => {}
+            PowerOrder::Stop => self.request(&[Request::Stop]),
+            PowerOrder::Reset => {
+                if self.bench().driver.state().is_latched() {
+                    self.request(&[Request::Reset]);
+                }
+                if self.bench().driver.state().is_latched() {
+                    return Err(self.error(ArmErrorKind::Fault));
+                }
+            }
         }
-        let is_latched = self.bench().driver.state().is_latched();
-        if is_latched { Err(self.error(ArmErrorKind::Fault)) } else { Ok(()) }
+        Ok(Poll::Ready(()))
     }
 }
 

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use std::sync::{Arc, Mutex};
+use std::task::Poll;
 use std::time::Duration;
 
 use crate::common::{
@@ -11,7 +12,10 @@ use crate::common::{
 };
 use mockall::predicate::eq;
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
+use pb3dp_hal_api::{
+    Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, EnablePosition, JointCommand, JointState,
+    PowerOrder,
+};
 use pb3dp_hal_clock::VirtualClock;
 use pb3dp_hal_conformance::mocks::MockScriptedArm;
 use pb3dp_hal_middleware::{Limiter, LimiterConfig, LimiterError, LimiterStatistics, StartPose};
@@ -214,10 +218,10 @@ fn an_arm_that_is_switched_on_where_it_is_at_the_second_try_goes_on() {
     }
     limiter.stop().unwrap();
     limiter.arm().faults().press_e_stop();
-    assert!(limiter.enable_here().is_err(), "the emergency stop is pressed");
+    assert!(limiter.power(PowerOrder::Enable(EnablePosition::Here)).is_err(), "the emergency stop is pressed");
     limiter.arm().faults().release_e_stop();
     limiter.reset().unwrap();
-    limiter.enable_here().unwrap();
+    let _ = limiter.power(PowerOrder::Enable(EnablePosition::Here)).unwrap();
     limiter.exchange(JointCommand::Hold).unwrap();
     limiter.exchange(velocity(1, 0.2)).unwrap();
 }
@@ -366,9 +370,11 @@ fn power_is_the_arms_own() {
         for by_other in [true, false] {
             arm.expect_is_stopped_by_other().times(1).return_const(by_other);
         }
-        arm.expect_enable().times(1).returning(|| Err(ArmError::new(ArmErrorKind::Fault, "latched")));
-        arm.expect_stop().times(1).returning(|| Ok(()));
-        arm.expect_reset().times(1).returning(|| Ok(()));
+        let enable = PowerOrder::Enable(EnablePosition::Start);
+        arm.expect_power().with(eq(enable)).times(1).returning(|_| Err(ArmError::new(ArmErrorKind::Fault, "latched")));
+        for order in [PowerOrder::Stop, PowerOrder::Reset] {
+            arm.expect_power().with(eq(order)).times(1).returning(|_| Ok(Poll::Ready(())));
+        }
     });
     assert_eq!(limiter.state(), ArmState::EStop);
     assert!(limiter.is_stopped_by_other() && !limiter.is_stopped_by_other());

@@ -65,7 +65,7 @@ fn the_last_exchanges_are_kept_with_what_came_of_them() {
 fn an_arm_that_refuses_to_begin_is_told_and_kept() {
     let log = FlightLog::with_capacity(5);
     let mut arm = MockScriptedArm::new();
-    arm.expect_begin_enable().times(1).returning(|| Err(ArmError::new(ArmErrorKind::Fault, "latched")));
+    arm.expect_power().times(1).returning(|_| Err(ArmError::new(ArmErrorKind::Fault, "latched")));
     arm.expect_state().return_const(ArmState::Fault);
     let mut arm = Recorded::new(arm, Arc::new(VirtualClock::new()), log.clone());
     assert_eq!(arm.begin_enable().unwrap_err().kind(), ArmErrorKind::Fault);

@@ -97,7 +97,7 @@ struct Coach<'a> {
 pub(super) fn run(args: &CoachArgs) -> Result<ExitCode> {
     let [columns, rows] = args.board;
     let board = Chessboard::new(columns, rows, args.square * 1e-3)?;
-    let limits = args.gates.as_deref().map_or_else(|| Ok(Limits::default()), gates_file::read)?;
+    let limits = gates_file::read(args.gates.as_deref(), Limits::of_cameras())?;
     let mut coach = Coach { board: &board, limits, args, views: Vec::new(), told: None };
     if args.folder.join(STOPS_FILE).exists() {
         bail!(

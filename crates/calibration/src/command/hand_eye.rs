@@ -5,8 +5,7 @@ use std::process::ExitCode;
 
 use crate::board::{Chessboard, Sighting};
 use crate::fit::View;
-use crate::gates::Grade;
-use crate::hand_eye::gates::{HandEyeLimits, HandEyeVerdict};
+use crate::gates::{Judged, Limits};
 use crate::hand_eye::{CalibrationCovariance, Given, HandEyeFit, HandEyeStop, RobotSigma, tc_has_moved};
 use crate::report::of_hand_eye;
 use crate::verify::length_ratio;
@@ -21,7 +20,7 @@ use pb3dp_record::calibration_files::{
 use pb3dp_record::images::StoredImage;
 
 use super::source::StopFiles;
-use super::{gates_file, hand_eye_report, images, numbers, poses, tell};
+use super::{exit_code, gates_file, hand_eye_report, images, numbers, poses, report, tell};
 
 /// The recordings, the cameras that made them, and the board.
 #[derive(Debug, Args)]
@@ -181,7 +180,7 @@ pub(super) fn check_squares<'a>(
 }
 
 pub(super) fn run(args: &HandEyeArgs) -> Result<ExitCode> {
-    let limits = args.gates.as_deref().map_or_else(|| Ok(HandEyeLimits::default()), gates_file::read_hand_eye)?;
+    let limits = gates_file::read(args.gates.as_deref(), Limits::of_hand_eye())?;
     let vs_world_from_base =
         args.setup.as_deref().map(|file| poses::Setup::read(file)?.world_from_base("vs")).transpose()?;
     let looked = args.recording.look()?;
@@ -208,19 +207,18 @@ pub(super) fn run(args: &HandEyeArgs) -> Result<ExitCode> {
     })?;
     let given = Given { rig, rig_covariance: rig_covariance.as_ref(), board: &looked.board, robot: args.robot_sigma };
     let fit = HandEyeFit::new(&looked.stops, &given)?;
-    let verdicts = limits.judge(&fit, args.distance * 1e-3);
+    let judged = limits.judge_hand_eye(&fit, args.distance * 1e-3);
     tell(&hand_eye_report::fit(&fit, args.robot_sigma))?;
     tell(&hand_eye_report::lines(&fit, rig, vs_world_from_base))?;
-    tell(&hand_eye_report::verdicts(&verdicts))?;
+    tell(&report::gates(&judged))?;
     if let Some(file) = &args.report {
-        of_hand_eye(&fit, &verdicts, args.distance * 1e-3).write(file)?;
+        of_hand_eye(&fit, &judged, args.distance * 1e-3).write(file)?;
         tell(&format!("wrote {}: a report", file.display()))?;
     }
     if let Some(out) = &args.out {
-        write(&hand_eye(&fit, &looked, &verdicts, args.distance), out)?;
+        write(&hand_eye(&fit, &looked, &judged, args.distance), out)?;
     }
-    let is_refused = verdicts.iter().any(|verdict| verdict.grade() == Grade::Refused);
-    Ok(if is_refused { ExitCode::FAILURE } else { ExitCode::SUCCESS })
+    Ok(exit_code(&judged))
 }
 
 fn write(hand_eye: &HandEye, out: &Path) -> Result<()> {
@@ -232,7 +230,7 @@ fn write(hand_eye: &HandEye, out: &Path) -> Result<()> {
 }
 
 /// Contents of the calibration file.
-fn hand_eye(fit: &HandEyeFit, looked: &DetectedStops, verdicts: &[HandEyeVerdict], distance_mm: f64) -> HandEye {
+fn hand_eye(fit: &HandEyeFit, looked: &DetectedStops, judged: &[Judged], distance_mm: f64) -> HandEye {
     let scales = fit.scales;
     let number = |name: &str, value: f64| (name.to_owned(), value);
     let mut measured = vec![
@@ -250,13 +248,6 @@ fn hand_eye(fit: &HandEyeFit, looked: &DetectedStops, verdicts: &[HandEyeVerdict
         measured.push((format!("{what} {}: left_out_deg", stop.name), stop.left_out_deg));
     }
     measured.sort_by(|a, b| a.0.cmp(&b.0));
-    let gate = |verdict: &HandEyeVerdict| JudgedGate {
-        name: verdict.gate.key().to_owned(),
-        measured: verdict.measured,
-        good: verdict.limit.good,
-        refused: verdict.limit.refused,
-        grade: verdict.grade().name().to_owned(),
-    };
     let rows = fit.covariance.row_iter().map(|row| row.iter().copied().collect()).collect();
     let of_head = looked.calibration.judgement.as_ref();
     let judgement = Judgement {
@@ -271,7 +262,7 @@ fn hand_eye(fit: &HandEyeFit, looked: &DetectedStops, verdicts: &[HandEyeVerdict
         cameras: of_head.map(|judgement| judgement.cameras.clone()).unwrap_or_default(),
         numbers: measured,
         covariance: Some(ParameterCovariance { names: fit.names.clone(), rows }),
-        gates: verdicts.iter().map(gate).collect(),
+        gates: judged.iter().map(JudgedGate::from).collect(),
     };
     HandEye { flange_from_cam_left: fit.flange_from_cam_left(), board: fit.board(), judgement }
 }

@@ -1,8 +1,8 @@
 //! Printed results of a hand-eye calibration.
 
-use crate::gates::Grade;
-use crate::hand_eye::gates::HandEyeVerdict;
 use crate::hand_eye::{HandEyeFit, RobotSigma};
+use crate::report::poses;
+use nalgebra::Isometry3;
 use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, World};
 use pb3dp_geometry::{Frame, Pose, StereoRig, so3};
 use pb3dp_record::calibration_files::BoardPlace;
@@ -12,14 +12,7 @@ const WORST_STOPS: usize = 3;
 
 /// The poses with the standard deviation of each number, and the stops.
 pub(super) fn fit(fit: &HandEyeFit, robot: RobotSigma) -> String {
-    let mut lines = vec![pose(fit, "flange_from_cam_left", &fit.flange_from_cam_left())];
-    match fit.board() {
-        BoardPlace::Room { base_from_board } => lines.push(pose(fit, "base_from_board", &base_from_board)),
-        BoardPlace::Carried { vs_base_from_tc_base, tc_flange_from_board } => {
-            lines.push(pose(fit, "vs_base_from_tc_base", &vs_base_from_tc_base));
-            lines.push(pose(fit, "tc_flange_from_board", &tc_flange_from_board));
-        }
-    }
+    let mut lines: Vec<String> = poses(fit).iter().map(|(name, at)| pose(fit, name, at)).collect();
     lines.push(format!(
         "+- is one standard deviation, from {:.3} px per corner and an arm noise of {:.2} times the stated {} mm and {} degrees",
         fit.corner_sigma_px,
@@ -53,8 +46,8 @@ fn rounded(value: f64) -> f64 {
     (value * 1e9).round() / 1e9
 }
 
-fn pose<To: Frame, From: Frame>(fit: &HandEyeFit, name: &str, pose: &Pose<To, From>) -> String {
-    let (t, turn) = (pose.translation_m() * 1e3, so3::log(&pose.rotation()).map(f64::to_degrees));
+fn pose(fit: &HandEyeFit, name: &str, pose: &Isometry3<f64>) -> String {
+    let (t, turn) = (pose.translation.vector * 1e3, so3::log(&pose.rotation).map(f64::to_degrees));
     let sigma = |number: &str| fit.sigma(&format!("{name}.{number}")).unwrap_or(f64::NAN);
     let [x, y, z] = ["x_m", "y_m", "z_m"].map(|number| sigma(number) * 1e3);
     let [rx, ry, rz] = ["rx_rad", "ry_rad", "rz_rad"].map(|number| sigma(number).to_degrees());
@@ -100,16 +93,4 @@ fn table<To: Frame, From: Frame>(pose: &Pose<To, From>) -> String {
         list(pose.translation_m() * 1e3, 4),
         list(turn, 5)
     )
-}
-
-/// The gates, and the verdict in words.
-pub(super) fn verdicts(verdicts: &[HandEyeVerdict]) -> String {
-    let mut lines: Vec<String> = verdicts.iter().map(HandEyeVerdict::to_string).collect();
-    let of = |grade: Grade| verdicts.iter().filter(|verdict| verdict.grade() == grade).count();
-    lines.push(match (of(Grade::Refused), of(Grade::Fair)) {
-        (0, 0) => "verdict: good".to_owned(),
-        (0, fair) => format!("verdict: usable; {fair} of {} gates could be better", verdicts.len()),
-        (refused, _) => format!("verdict: refused by {refused} of {} gates", verdicts.len()),
-    });
-    lines.join("\n")
 }

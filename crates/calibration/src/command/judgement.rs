@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::fit::sides;
-use crate::gates::Verdict;
+use crate::gates::Judged;
 use crate::held_out::Chosen;
 use crate::quality::Quality;
 use anyhow::Result;
@@ -34,7 +34,7 @@ pub(super) fn cameras(named: Option<&Path>, left: &Path) -> Result<[CameraIdenti
 pub(super) fn of(
     chosen: &Chosen<2>,
     quality: &Quality,
-    verdicts: &[Verdict],
+    judged: &[Judged],
     (newest, cameras): (&str, [CameraIdentity; 2]),
 ) -> Judgement {
     let mut numbers = vec![
@@ -51,13 +51,6 @@ pub(super) fn of(
     numbers.extend(by_view.iter().map(|(view, rms_px)| (format!("view {view}: reprojection_rms_px"), *rms_px)));
     let covariance = chosen.fit.covariance().of_cameras();
     let rows = covariance.matrix.row_iter().map(|row| row.iter().copied().collect()).collect();
-    let gate = |verdict: &Verdict| JudgedGate {
-        name: verdict.gate.key().to_owned(),
-        measured: verdict.measured,
-        good: verdict.limit.good,
-        refused: verdict.limit.refused,
-        grade: verdict.grade().name().to_owned(),
-    };
     Judgement {
         date: newest.to_owned(),
         tool: concat!("pb3dp-calibrate ", env!("CARGO_PKG_VERSION")).to_owned(),
@@ -65,6 +58,6 @@ pub(super) fn of(
         cameras,
         numbers,
         covariance: Some(ParameterCovariance { names: covariance.names.clone(), rows }),
-        gates: verdicts.iter().map(gate).collect(),
+        gates: judged.iter().map(JudgedGate::from).collect(),
     }
 }

@@ -18,7 +18,6 @@ mod report;
 mod source;
 mod touch_test;
 mod verify;
-mod verify_limits;
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -26,7 +25,7 @@ use std::process::ExitCode;
 
 use crate::board::Board;
 use crate::fit::View;
-use crate::gates::Limits;
+use crate::gates::{Grade, Judged, Limits, verdict};
 use crate::held_out::{Chosen, choose};
 use crate::lens::LensModel;
 use crate::quality::Quality;
@@ -204,7 +203,7 @@ fn intrinsics(args: &IntrinsicsArgs) -> Result<ExitCode> {
     let chosen = choose(&seen.views, &board, seen.size, args.common.models())?;
     let quality = Quality::of_camera(&chosen, &seen.views, seen.size);
     if let Some(file) = &args.common.report {
-        let page = of_camera(&chosen, &quality, &limits.judge(&quality), &seen.views, seen.size);
+        let page = of_camera(&chosen, &quality, &limits.judge_cameras(&quality), &seen.views, seen.size);
         tell(&page::write(page, &chosen, &quality, &seen, file)?)?;
     }
     conclude(&chosen, &quality, &limits)
@@ -236,12 +235,13 @@ fn stereo(args: &StereoArgs) -> Result<ExitCode> {
     let code = conclude(&chosen, &quality, &limits)?;
     if let Some(out) = &args.out {
         let cameras = judgement::cameras(args.cameras.as_deref(), &seen.folder)?;
-        let mut judgement = judgement::of(&chosen, &quality, &limits.judge(&quality), (seen.newest.as_str(), cameras));
+        let mut judgement =
+            judgement::of(&chosen, &quality, &limits.judge_cameras(&quality), (seen.newest.as_str(), cameras));
         judgement.numbers.extend(camera_condition::numbers(&seen.files)?);
         tell(&convert::write(&rig, Some(&judgement), out)?)?;
     }
     if let Some(file) = &args.common.report {
-        let page = of_stereo(&chosen, &quality, &limits.judge(&quality), &seen.views, args.distance * 1e-3)?;
+        let page = of_stereo(&chosen, &quality, &limits.judge_cameras(&quality), &seen.views, args.distance * 1e-3)?;
         tell(&page::write(page, &chosen, &quality, &seen, file)?)?;
     }
     Ok(code)
@@ -249,16 +249,21 @@ fn stereo(args: &StereoArgs) -> Result<ExitCode> {
 
 /// Prints the quality figures and the verdict.
 fn conclude<const N: usize>(chosen: &Chosen<N>, quality: &Quality, limits: &Limits) -> Result<ExitCode> {
-    let verdicts = limits.judge(quality);
+    let judged = limits.judge_cameras(quality);
     tell(&report::fit(chosen))?;
-    tell(&report::verdicts(quality, &verdicts))?;
-    Ok(if report::is_refused(&verdicts) { ExitCode::FAILURE } else { ExitCode::SUCCESS })
+    tell(&report::of_cameras(quality, &judged))?;
+    Ok(exit_code(&judged))
+}
+
+/// A calibration refused by a gate is a failure.
+fn exit_code(judged: &[Judged]) -> ExitCode {
+    if verdict(judged).0 == Grade::Refused { ExitCode::FAILURE } else { ExitCode::SUCCESS }
 }
 
 impl Common {
     fn checked(&self) -> Result<(Board, Limits)> {
         let board = self.board.board()?;
-        let limits = self.gates.as_deref().map_or_else(|| Ok(Limits::default()), gates_file::read)?;
+        let limits = gates_file::read(self.gates.as_deref(), Limits::of_cameras())?;
         Ok((board, limits))
     }
 

@@ -3,10 +3,10 @@
 use std::fmt::Write;
 
 use crate::fit::{Fit, View, sides};
-use crate::gates::{Grade, Verdict};
+use crate::gates::{Judged, verdict};
 use crate::held_out::Chosen;
 use crate::quality::Quality;
-use crate::report::{GateLine, verdict_in_words};
+use crate::report::noise;
 use anyhow::Result;
 use pb3dp_geometry::StereoRig;
 
@@ -44,13 +44,7 @@ pub(super) fn fit<const N: usize>(chosen: &Chosen<N>) -> String {
         lines
             .push(format!("board: bow along its rows {rows} mm, bow along its columns {columns} mm, twist {twist} mm"));
     }
-    let scatter = covariance.view_scatter;
-    let raised = if scatter > 1.0 {
-        format!(", raised {:.1} times because views differ by more than corner noise", scatter.sqrt())
-    } else {
-        String::new()
-    };
-    lines.push(format!("+- is one standard deviation, from {:.3} px per corner{raised}", covariance.corner_sigma_px));
+    lines.push(format!("+- is one standard deviation, {}", noise(covariance)));
     lines.join("\n")
 }
 
@@ -77,7 +71,7 @@ pub(super) fn rig(fit: &Fit<2>, rig: &StereoRig, depth_m: f64) -> Result<String>
 }
 
 /// The gates, the worst views, and the verdict.
-pub(super) fn verdicts(quality: &Quality, verdicts: &[Verdict]) -> String {
+pub(super) fn of_cameras(quality: &Quality, judged: &[Judged]) -> String {
     let mut lines: Vec<String> = Vec::new();
     if let Some(rows) = quality.rows {
         lines.push(format!(
@@ -90,9 +84,7 @@ pub(super) fn verdicts(quality: &Quality, verdicts: &[Verdict]) -> String {
     views.sort_by(|a, b| b.1.total_cmp(&a.1));
     let worst = views.iter().take(WORST_VIEWS).map(|(name, rms_px)| format!("{name:?} {rms_px:.3}"));
     lines.push(format!("views with the largest errors, px rms: {}", worst.collect::<Vec<_>>().join(", ")));
-    lines.extend(verdicts.iter().map(Verdict::to_string));
-    let gates: Vec<GateLine> = verdicts.iter().map(GateLine::from).collect();
-    lines.push(format!("verdict: {}", verdict_in_words(&gates).1));
+    lines.push(gates(judged));
     if quality.scale_error_share.is_none() {
         lines.push(
             "not judged: the size of the squares, which images cannot reveal; measure the baseline with a ruler and give --baseline, or measure a known length with the calibrated cameras"
@@ -122,9 +114,11 @@ fn defects(quality: &Quality) -> Vec<String> {
     lines
 }
 
-/// Whether any gate refuses.
-pub(super) fn is_refused(verdicts: &[Verdict]) -> bool {
-    verdicts.iter().any(|verdict| verdict.grade() == Grade::Refused)
+/// The gates of any calibration, and the verdict in words.
+pub(super) fn gates(judged: &[Judged]) -> String {
+    let mut lines: Vec<String> = judged.iter().map(Judged::to_string).collect();
+    lines.push(format!("verdict: {}", verdict(judged).1));
+    lines.join("\n")
 }
 
 /// All corners as CSV.

@@ -5,11 +5,11 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use crate::board::Chessboard;
-use crate::gates::Grade;
-use crate::report::{GateLine, verdict_in_words};
+use crate::gates::{Judged, Limits, verdict};
+use crate::report::in_shown_units;
 use crate::verify::against::{Comparison, Known, compare};
 use crate::verify::lens::decide_lens;
-use crate::verify::limits::{Check, VerifyLimits};
+use crate::verify::limits::{DIFFERENCE, HAND_ERROR, LENGTH, REPROJECTION, ROWS, SCALE, SIGMAS, TOUCH};
 use crate::verify::touch::TouchResult;
 use crate::verify::{Checked, check, depth_sigma_m, lengths_m};
 use anyhow::{Context, Result, bail};
@@ -18,7 +18,7 @@ use nalgebra::DMatrix;
 use pb3dp_record::calibration_files::{StereoCalibration, load_stated, load_stereo};
 
 use super::hand_eye::{check_size, check_squares};
-use super::{DetectedBoards, Pairs, numbers, tell, touch_test, verify_limits};
+use super::{DetectedBoards, Pairs, exit_code, gates_file, numbers, tell, touch_test};
 
 /// Arguments of `pb3dp calibrate verify`.
 #[derive(Debug, Args)]
@@ -59,7 +59,7 @@ pub(super) struct VerifyArgs {
 
 /// Runs the command; a calibration refused by a check is a failure.
 pub(super) fn run(args: &VerifyArgs) -> Result<ExitCode> {
-    let limits = args.limits.as_deref().map_or_else(|| Ok(VerifyLimits::default()), verify_limits::read)?;
+    let limits = gates_file::read(args.limits.as_deref(), Limits::of_checks())?;
     let seen = args.pairs.are_given().then(|| args.seen()).transpose()?;
     let calibration = args.calibration(seen.as_ref())?;
     let known = known(&calibration);
@@ -79,9 +79,9 @@ pub(super) fn run(args: &VerifyArgs) -> Result<ExitCode> {
         tell(&of_views(&checked, depth_m))?;
         let scale = checked.scale_at(depth_m);
         hand_m2 += ((scale.scale - 1.0).powi(2) + scale.sigma.powi(2)) * depth_m * depth_m;
-        gates.push(limits.judge(Check::Reprojection, checked.reprojection_rms_px));
-        gates.push(limits.judge(Check::Rows, checked.rows.rms_px));
-        gates.push(limits.judge(Check::Scale, 100.0 * (scale.scale - 1.0).abs()));
+        gates.push(limits.judge(REPROJECTION, checked.reprojection_rms_px));
+        gates.push(limits.judge(ROWS, checked.rows.rms_px));
+        gates.push(limits.judge(SCALE, 100.0 * (scale.scale - 1.0).abs()));
         gates.extend(args.ruler(&known, seen, &limits)?);
         gates.extend(args.touched(&known, seen, &limits)?);
     }
@@ -94,8 +94,8 @@ pub(super) fn run(args: &VerifyArgs) -> Result<ExitCode> {
         }
         let comparison = compare(&known, &second, depth_m);
         tell(&of_comparison(&comparison, args.distance))?;
-        gates.extend(comparison.sigmas.map(|sigmas| limits.judge(Check::Sigmas, sigmas)));
-        gates.push(limits.judge(Check::Difference, comparison.p95_m()[2] * 1e3));
+        gates.extend(comparison.sigmas.map(|sigmas| limits.judge(SIGMAS, sigmas)));
+        gates.push(limits.judge(DIFFERENCE, comparison.p95_m()[2] * 1e3));
     }
     if gates.is_empty() {
         bail!(
@@ -103,25 +103,23 @@ pub(super) fn run(args: &VerifyArgs) -> Result<ExitCode> {
         );
     }
     if args.pairs.are_given() {
-        gates.push(limits.judge(Check::HandError, hand_m2.sqrt() * 1e3));
+        gates.push(limits.judge(HAND_ERROR, hand_m2.sqrt() * 1e3));
     }
     conclude(&gates, args.distance)
 }
 
 /// Prints the checks and the verdict.
-fn conclude(gates: &[GateLine], distance_mm: f64) -> Result<ExitCode> {
-    for gate in gates {
-        tell(&gate.to_string())?;
+fn conclude(judged: &[Judged], distance_mm: f64) -> Result<ExitCode> {
+    for judged in judged {
+        tell(&judged.to_string())?;
     }
-    if let Some(gate) = gates.iter().find(|gate| gate.name == Check::HandError.key()) {
+    if let Some(Judged { measured, .. }) = judged.iter().find(|judged| judged.gate.key == HAND_ERROR.key) {
         tell(&format!(
-            "at {distance_mm:.0} mm the cameras contribute a hand error of about {:.2} mm; errors of the arm and of the hand-eye calibration are not included",
-            gate.measured
+            "at {distance_mm:.0} mm the cameras contribute a hand error of about {measured:.2} mm; errors of the arm and of the hand-eye calibration are not included"
         ))?;
     }
-    tell(&format!("verdict: {}", verdict_in_words(gates).1))?;
-    let is_refused = gates.iter().any(|gate| gate.grade == Grade::Refused);
-    Ok(if is_refused { ExitCode::FAILURE } else { ExitCode::SUCCESS })
+    tell(&format!("verdict: {}", verdict(judged).1))?;
+    Ok(exit_code(judged))
 }
 
 /// The calibration with its covariance.
@@ -152,16 +150,16 @@ impl VerifyArgs {
     }
 
     /// Check with corners touched by the arm.
-    fn touched(&self, known: &Known, seen: &DetectedBoards<2>, limits: &VerifyLimits) -> Result<Option<GateLine>> {
+    fn touched(&self, known: &Known, seen: &DetectedBoards<2>, limits: &Limits) -> Result<Option<Judged>> {
         let (Some(file), Some(hand_eye)) = (&self.touch, &self.hand_eye) else { return Ok(None) };
         let results = touch_test::run(known, seen, hand_eye, file)?;
         tell(&touch_test::told(&results))?;
         let worst_m = results.iter().map(TouchResult::error_m).fold(0.0, f64::max);
-        Ok(Some(limits.judge(Check::Touch, worst_m * 1e3)))
+        Ok(Some(limits.judge(TOUCH, worst_m * 1e3)))
     }
 
     /// Check with a length measured with a ruler.
-    fn ruler(&self, known: &Known, seen: &DetectedBoards<2>, limits: &VerifyLimits) -> Result<Option<GateLine>> {
+    fn ruler(&self, known: &Known, seen: &DetectedBoards<2>, limits: &Limits) -> Result<Option<Judged>> {
         let (Some([from, to]), Some(length_mm)) = (self.corners.as_deref(), self.length) else { return Ok(None) };
         let lengths_m = lengths_m(&known.rig, &seen.views, [*from, *to])?;
         let count = lengths_m.len() as f64;
@@ -172,7 +170,7 @@ impl VerifyArgs {
             "corners {},{} and {},{}: {mean_mm:.3} mm by the cameras ({count} views, each +- {scatter_mm:.3}), {length_mm} mm by the ruler: {percent:+.3} %",
             from[0], from[1], to[0], to[1]
         ))?;
-        Ok(Some(limits.judge(Check::Length, percent.abs())))
+        Ok(Some(limits.judge(LENGTH, percent.abs())))
     }
 }
 
@@ -234,11 +232,7 @@ fn of_comparison(comparison: &Comparison, distance_mm: f64) -> String {
         text.push_str("second minus first, in standard deviations of the difference:\n");
     }
     for parameter in &comparison.parameters {
-        let (name, factor) = match (parameter.name.strip_suffix("_m"), parameter.name.strip_suffix("_rad")) {
-            (Some(stem), _) => (format!("{stem}, mm"), 1e3),
-            (_, Some(stem)) => (format!("{stem}, degrees"), 1_f64.to_degrees()),
-            _ => (parameter.name.clone(), 1.0),
-        };
+        let (name, factor) = in_shown_units(&parameter.name);
         let _ = writeln!(
             text,
             "  {name:<34} {:>+10.5} +- {:<9.5} {:>+6.2}",

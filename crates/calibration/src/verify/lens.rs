@@ -3,7 +3,7 @@
 use pb3dp_record::calibration_files::{CalibrationFileError, LensModel, StereoCalibration};
 
 use super::check;
-use super::limits::{Check, VerifyLimits};
+use super::limits::REPROJECTION;
 use crate::board::Chessboard;
 use crate::fit::View;
 
@@ -24,7 +24,7 @@ pub fn decide_lens(
     let Some(other) = &calibration.other_lens else { return Ok(calibration) };
     let error_px = |rig| check(rig, views, board).map_or(f64::INFINITY, |checked| checked.reprojection_rms_px);
     let (brown, equidistant) = (error_px(&calibration.rig), error_px(other));
-    let limit = VerifyLimits::default().of(Check::Reprojection).refused;
+    let limit = REPROJECTION.refused;
     let is_clear = |one: f64, two: f64| one <= limit && two > limit && two >= CLEARLY_BETTER * one;
     let (lens, found, against) = match (is_clear(brown, equidistant), is_clear(equidistant, brown)) {
         (true, false) => (LensModel::BrownConrady, brown, equidistant),

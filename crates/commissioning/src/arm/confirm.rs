@@ -7,9 +7,9 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
-use pb3dp_cell::attended_motion::{AttendedMotion, EndedByPerson, Keys, ends_motion};
+use pb3dp_cell::attended_motion::{AttendedMotion, EndedByPerson, Keys, ends_motion, instructions};
 use pb3dp_cell::parts::Parts;
-use pb3dp_cell::terminal::typed_lines;
+use pb3dp_cell::terminal::{print_line, typed_lines};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_platform::signals::{StopSignal, StopSignals};
 use pb3dp_setup::setup::Setup;
@@ -129,6 +129,21 @@ pub fn typed(name: &str, signals: &mut StopSignals) -> Result<Console> {
     let console = Console::start()?;
     console.typed(name, None, signals)?;
     Ok(console)
+}
+
+/// Waits until a person has typed the word for a motion; `real_within`: the arm is not emulated, and a key must be pressed within each such
+/// time while it moves.
+///
+/// # Errors
+/// As [`Console::typed`], and if nobody can type.
+pub fn confirmed(word: &str, real_within: Option<Duration>, signals: &mut StopSignals) -> Result<Console> {
+    print_line("The arm will move. Keep all persons out of its reach and a hand on the emergency stop.")?;
+    if let Some(key_within) = real_within {
+        need_person()?;
+        print_line(&instructions(key_within))?;
+    }
+    print_line(&format!("Type {word} to move it:"))?;
+    typed(word, signals)
 }
 
 /// Ends a run of both arms as a signal does when the person beside them, or nobody, ends its motion.

@@ -17,9 +17,9 @@ use pb3dp_wiring::commissioning::SlowArm;
 use super::confirm::Interrupted;
 
 /// Proportional gain of the joint error to the plan, 1/s.
-const GAIN_PER_S: f64 = 2.0;
+pub const GAIN_PER_S: f64 = 2.0;
 /// A joint this near to its end has arrived, rad.
-const ARRIVED_WITHIN_RAD: f64 = 5e-4;
+pub const ARRIVED_WITHIN_RAD: f64 = 5e-4;
 /// Time allowed for arrival after the planned end of a move.
 pub const LATE_MAX: Duration = Duration::from_secs(3);
 /// How long the arm holds before its brakes close.
@@ -191,8 +191,9 @@ fn measured(exchanged: Result<JointState, ArmError>, lost: &mut u64) -> Result<O
 #[cfg(test)]
 mod tests {
     use std::path::Path;
+    use std::task::Poll;
 
-    use pb3dp_hal_api::{Arm, ArmInfo, ArmPower, ArmState};
+    use pb3dp_hal_api::{Arm, ArmInfo, ArmPower, ArmState, PowerOrder};
     use pb3dp_hal_clock::VirtualClock;
     use pb3dp_hal_middleware::{FlightLog, LimiterStatistics};
     use pb3dp_setup::setup::read_setup;
@@ -223,31 +224,18 @@ mod tests {
             ArmState::Enabled
         }
 
-        fn enable(&mut self) -> Result<(), ArmError> {
-            Ok(())
-        }
-
-        fn poll_enable(&mut self) -> Result<bool, ArmError> {
-            self.switching_on = self.switching_on.saturating_sub(1);
-            Ok(self.switching_on == 0)
-        }
-
-        fn stop(&mut self) -> Result<(), ArmError> {
-            Ok(())
-        }
-
-        fn reset(&mut self) -> Result<(), ArmError> {
-            Ok(())
+        fn power(&mut self, order: PowerOrder) -> Result<Poll<()>, ArmError> {
+            if order == PowerOrder::PollEnable {
+                self.switching_on = self.switching_on.saturating_sub(1);
+                return Ok(if self.switching_on == 0 { Poll::Ready(()) } else { Poll::Pending });
+            }
+            Ok(Poll::Ready(()))
         }
     }
 
     impl DrivenArm for Scripted {
         fn statistics(&self) -> LimiterStatistics {
             LimiterStatistics::default()
-        }
-
-        fn enable_here(&mut self) -> Result<(), ArmError> {
-            Ok(())
         }
     }
 

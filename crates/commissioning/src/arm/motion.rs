@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::SystemTime;
 
 use anyhow::{Context, Result, bail};
-use pb3dp_cell::attended_motion::{AttendedMotion, instructions};
+use pb3dp_cell::attended_motion::AttendedMotion;
 use pb3dp_cell::live::enter_control_thread;
 use pb3dp_cell::parts::ArmChoice;
 use pb3dp_cell::plan::Plan;
@@ -138,13 +138,7 @@ fn confirmed(
 ) -> Result<Option<AttendedMotion>> {
     let (is_real, word) = (!choice.of(setup).link.is_toy(), args.company.word(choice));
     let key_within = setup.operator_key_within;
-    print_line("The arm will move. Keep all persons out of its reach and a hand on the emergency stop.")?;
-    if is_real {
-        confirm::need_person()?;
-        print_line(&instructions(key_within))?;
-    }
-    print_line(&format!("Type {word} to move it:"))?;
-    let console = confirm::typed(&word, signals)?;
+    let console = confirm::confirmed(&word, is_real.then_some(key_within), signals)?;
     let listen = |console: confirm::Console| {
         AttendedMotion::start(console.into_lines(), key_within, Arc::clone(clock), std::io::stdout(), |_| {})
     };

@@ -11,7 +11,7 @@ use pb3dp_setup::setup::read_layers;
 use pb3dp_wiring::commissioning::see;
 
 use super::ProbeArgs;
-use super::probe_report::{Findings, ProbeReport};
+use super::probe_report::ProbeReport;
 
 /// Runs the command.
 ///
@@ -21,12 +21,10 @@ pub fn run(args: &ProbeArgs) -> Result<ExitCode> {
     let setup = read_layers(&args.place.setup)?;
     let choice = args.place.choice();
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
-    let report = match see(&setup, choice, &clock) {
+    let mut report = ProbeReport::begin(choice);
+    match see(&setup, choice, &clock) {
         Ok(mut seen) => {
-            let mut findings = Findings::default();
-            for warning in seen.arm.warnings() {
-                findings.warn(warning.clone());
-            }
+            seen.arm.warnings().iter().for_each(|warning| report.warn(warning.clone()));
             let monitor = seen.arm.monitor();
             // Each call exchanges at least one message, so this loop ends.
             for _ in 0..args.exchanges {
@@ -36,15 +34,15 @@ pub fn run(args: &ProbeArgs) -> Result<ExitCode> {
                 }
                 if let Err(error) = seen.arm.look() {
                     if monitor.snapshot().latched.is_none() {
-                        findings.refuse(format!("{:#}", anyhow::Error::from(error)));
+                        report.refuse(format!("{:#}", anyhow::Error::from(error)));
                     }
                     break;
                 }
             }
-            ProbeReport::of(choice, choice.of(&setup), (seen.target.clone(), &monitor), findings)
+            report.add(choice.of(&setup), seen.target.clone(), &monitor);
         }
-        Err(error) => ProbeReport::unreached(choice, format!("{error:#}")),
-    };
+        Err(error) => report.refuse(format!("{error:#}")),
+    }
     print_line(&if args.json { serde_json::to_string(&report)? } else { report.to_string() })?;
     Ok(if report.fits { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }

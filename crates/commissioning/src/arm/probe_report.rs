@@ -16,27 +16,8 @@ use serde::Serialize;
 /// Largest share of lost messages on a link, percent.
 const LOST_PERCENT_MAX: f64 = 1.0;
 
-/// Problems and warnings.
-#[derive(Debug, Default)]
-pub struct Findings {
-    problems: Vec<String>,
-    warnings: Vec<String>,
-}
-
-impl Findings {
-    /// Adds a problem, with its remedy.
-    pub fn refuse(&mut self, text: String) {
-        self.problems.push(text);
-    }
-
-    /// Adds a warning.
-    pub fn warn(&mut self, text: String) {
-        self.warnings.push(text);
-    }
-}
-
 /// Probe results of an arm.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Default, Serialize)]
 pub struct ProbeReport {
     /// Its name.
     pub arm: &'static str,
@@ -142,76 +123,61 @@ fn degrees(rad: f64) -> f64 {
 }
 
 impl ProbeReport {
-    /// For an arm that was not reached.
-    pub fn unreached(choice: ArmChoice, problem: String) -> Self {
-        Self {
-            arm: choice.name(),
-            target: None,
-            fits: false,
-            problems: vec![problem],
-            warnings: Vec::new(),
-            state: None,
-            gateway: None,
-            joints: Vec::new(),
-            controller_word: None,
-            link: None,
-        }
+    /// An empty report of an arm that is not reached yet.
+    pub fn begin(choice: ArmChoice) -> Self {
+        Self { arm: choice.name(), fits: true, ..Self::default() }
     }
 
-    /// For an arm that was reached.
-    pub fn of(
-        choice: ArmChoice,
-        arm: &ArmSetup,
-        (target, monitor): (String, &ArmMonitor),
-        mut findings: Findings,
-    ) -> Self {
+    /// Adds a problem, with its remedy.
+    pub fn refuse(&mut self, text: String) {
+        self.fits = false;
+        self.problems.push(text);
+    }
+
+    /// Adds a warning.
+    pub fn warn(&mut self, text: impl Into<String>) {
+        self.warnings.push(text.into());
+    }
+
+    /// Adds the results of an arm that was reached.
+    pub fn add(&mut self, arm: &ArmSetup, target: String, monitor: &ArmMonitor) {
         let seen = monitor.snapshot();
-        judge_stop(&seen, &mut findings);
+        judge_stop(&seen, self);
         if let Some(hello) = &seen.gateway {
-            judge_gateway(arm, hello, &mut findings);
+            judge_gateway(arm, hello, self);
         }
         if let ArmLink::Bus(link) = &arm.link {
-            bus_doubts(link).for_each(|doubt| findings.warn(doubt.to_owned()));
-            judge_silence(&seen, &mut findings);
+            bus_doubts(link).for_each(|doubt| self.warn(doubt));
+            judge_silence(&seen, self);
         }
-        let joints = Axis::ALL.map(|axis| joint(arm, &seen, axis, &mut findings));
-        let controller_word = seen.sample.or(seen.shown).map(|sample| controller(&sample.condition, &mut findings));
-        let link = link(&seen, monitor, &mut findings);
-        Self {
-            arm: choice.name(),
-            target: Some(target),
-            fits: findings.problems.is_empty(),
-            problems: findings.problems,
-            warnings: findings.warnings,
-            state: Some(seen.state.to_string()),
-            gateway: seen.gateway.as_ref().map(GatewayFacts::of),
-            joints: joints.into(),
-            controller_word,
-            link: Some(link),
-        }
+        self.joints = Axis::ALL.map(|axis| joint(arm, &seen, axis, self)).into();
+        self.controller_word = seen.sample.or(seen.shown).map(|sample| controller(&sample.condition, self));
+        self.link = Some(link(&seen, monitor, self));
+        self.target = Some(target);
+        self.state = Some(seen.state.to_string());
+        self.gateway = seen.gateway.as_ref().map(GatewayFacts::of);
     }
 }
 
-fn judge_stop(seen: &ArmSnapshot, findings: &mut Findings) {
+fn judge_stop(seen: &ArmSnapshot, report: &mut ProbeReport) {
     let Some(latched) = &seen.latched else { return };
-    findings.refuse(format!("the arm is stopped: {}", latched.trip));
+    report.refuse(format!("the arm is stopped: {}", latched.trip));
     match (&seen.sample, &seen.shown, &seen.gateway) {
         (Some(_), _, _) => {}
         (None, Some(shown), _) => {
             let seconds = shown.age.as_secs_f64();
-            findings.warn(format!("joints and status words are {seconds:.1} s old: the gateway does not measure now"));
+            report.warn(format!("joints and status words are {seconds:.1} s old: the gateway does not measure now"));
         }
-        (None, None, Some(gateway)) if gateway.dialect == Dialect::Transparent => findings.warn(
-            "no joints: in the dialect transparent the gateway reports none for a stopped arm; reset it, or probe in gateway-v1"
-                .to_owned(),
+        (None, None, Some(gateway)) if gateway.dialect == Dialect::Transparent => report.warn(
+            "no joints: in the dialect transparent the gateway reports none for a stopped arm; reset it, or probe in gateway-v1",
         ),
         (None, None, Some(_)) => {
-            findings.warn("no joints: the gateway has no measurement since its start; reset the arm".to_owned());
+            report.warn("no joints: the gateway has no measurement since its start; reset the arm");
         }
-        (None, None, None) => findings.warn("no joints: the arm was stopped before its first measurement".to_owned()),
+        (None, None, None) => report.warn("no joints: the arm was stopped before its first measurement"),
     }
     if is_of_another_format(&latched.trip) {
-        findings.refuse(
+        report.refuse(
             "the length of the controller's answers does not match the configured wire format: set wire_format to the other one, here \
              and at the gateway if there is one"
                 .to_owned(),
@@ -220,28 +186,28 @@ fn judge_stop(seen: &ArmSnapshot, findings: &mut Findings) {
 }
 
 /// Detects a controller that answers, but not to cyclic commands.
-fn judge_silence(seen: &ArmSnapshot, findings: &mut Findings) {
+fn judge_silence(seen: &ArmSnapshot, report: &mut ProbeReport) {
     let is_lost = |trip| matches!(trip, Trip::Fault(FaultCause::LinkLost { .. }));
     let is_silent = seen.latched.is_some_and(|latched| is_lost(latched.trip));
     if is_silent && seen.sample.is_none() && seen.counters.answered > 0 {
-        findings.refuse(
+        report.refuse(
             "the controller answers, but not to cyclic commands: it may use the other wire format; try the other wire_format"
                 .to_owned(),
         );
     }
 }
 
-fn judge_gateway(arm: &ArmSetup, hello: &HelloReply, findings: &mut Findings) {
+fn judge_gateway(arm: &ArmSetup, hello: &HelloReply, report: &mut ProbeReport) {
     if hello.controller_watchdog_us == 0 {
-        findings.warn("the controller's watchdog is not set at the gateway: measure it on the rig".to_owned());
+        report.warn("the controller's watchdog is not set at the gateway: measure it on the rig");
     }
     if let ArmLink::Gateway(link, _) = &arm.link
         && let Some(doubt) = geometry_doubt(link.geometry, hello.geometry)
     {
-        findings.warn(doubt.to_owned());
+        report.warn(doubt);
     }
     if let Some(refusal) = watchdog_refusal(arm.command_timeout, hello) {
-        findings.refuse(refusal);
+        report.refuse(refusal);
     }
 }
 
@@ -265,7 +231,7 @@ impl GatewayFacts {
     }
 }
 
-fn joint(arm: &ArmSetup, seen: &ArmSnapshot, axis: Axis, findings: &mut Findings) -> JointFacts {
+fn joint(arm: &ArmSetup, seen: &ArmSnapshot, axis: Axis, report: &mut ProbeReport) -> JointFacts {
     let index = axis.index();
     let hard = arm.limits.servo();
     let configured_deg = [degrees(hard.position_min_rad()[index]), degrees(hard.position_max_rad()[index])];
@@ -274,7 +240,7 @@ fn joint(arm: &ArmSetup, seen: &ArmSnapshot, axis: Axis, findings: &mut Findings
     let difference_deg =
         eeprom_deg.map(|found| [0, 1].map(|end| ((found[end] - configured_deg[end]) * 1e4).round() / 1e4));
     match difference_deg {
-        Some(difference) if difference.iter().any(|by| by.abs() > LIMITS_TOLERANCE_DEG) => findings.refuse(format!(
+        Some(difference) if difference.iter().any(|by| by.abs() > LIMITS_TOLERANCE_DEG) => report.refuse(format!(
             "{axis}: the controller's limits differ by {:+.3} and {:+.3} degrees from those of the robot description: check \
              whether this is the arm of {}, then correct the limits in {}.robot",
             difference[0],
@@ -283,16 +249,16 @@ fn joint(arm: &ArmSetup, seen: &ArmSnapshot, axis: Axis, findings: &mut Findings
             arm.key
         )),
         None if seen.latched.is_none() => {
-            findings.refuse(format!("{axis}: the controller did not send its limits; probe again"));
+            report.refuse(format!("{axis}: the controller did not send its limits; probe again"));
         }
         _ => {}
     }
     let sample = seen.sample.or(seen.shown);
     let now_rad = sample.map(|sample| sample.position_rad[index]);
     if let Some(angle) = now_rad {
-        judge_angle(arm, (axis, angle), findings);
+        judge_angle(arm, (axis, angle), report);
     }
-    let (word, alarm) = sample.map(|sample| status(&sample.condition, axis, findings)).unwrap_or_default();
+    let (word, alarm) = sample.map(|sample| status(&sample.condition, axis, report)).unwrap_or_default();
     JointFacts {
         axis: axis.number(),
         name: axis.name(),
@@ -307,17 +273,17 @@ fn joint(arm: &ArmSetup, seen: &ArmSnapshot, axis: Axis, findings: &mut Findings
     }
 }
 
-fn judge_angle(arm: &ArmSetup, (axis, angle_rad): (Axis, f64), findings: &mut Findings) {
+fn judge_angle(arm: &ArmSetup, (axis, angle_rad): (Axis, f64), report: &mut ProbeReport) {
     let index = axis.index();
     let operating = arm.limits.operating();
     let (lower, upper) = (operating.position_min_rad()[index], operating.position_max_rad()[index]);
     let (guard, angle) = (&arm.guard, angle_rad.to_degrees());
     if !(guard.mechanical_min_rad[index]..=guard.mechanical_max_rad[index]).contains(&angle_rad) {
-        findings.refuse(format!(
+        report.refuse(format!(
             "{axis}: {angle:.3} degrees is outside the mechanical range: encoder or zero point is wrong; do not move the arm"
         ));
     } else if !(lower..=upper).contains(&angle_rad) {
-        findings.refuse(format!(
+        report.refuse(format!(
             "{axis}: {angle:.3} degrees is outside the operating range {:.1} to {:.1}: jog it back",
             lower.to_degrees(),
             upper.to_degrees()
@@ -326,18 +292,18 @@ fn judge_angle(arm: &ArmSetup, (axis, angle_rad): (Axis, f64), findings: &mut Fi
 }
 
 /// The status word of an axis, and its alarm.
-fn status(condition: &ArmCondition, axis: Axis, findings: &mut Findings) -> (Option<String>, Option<String>) {
+fn status(condition: &ArmCondition, axis: Axis, report: &mut ProbeReport) -> (Option<String>, Option<String>) {
     match condition.axes[axis.index()] {
         AxisStatus::Servo(word) => {
             let alarm = word.alarm().map(|alarm| alarm.to_string());
             if let Some(alarm) = &alarm {
-                findings.refuse(format!("{axis}: {alarm}: remove the cause"));
+                report.refuse(format!("{axis}: {alarm}: remove the cause"));
             }
             (Some(format!("0x{:04x}", word.0)), alarm)
         }
         AxisStatus::Undocumented(word) => {
             if word != 0 {
-                findings.warn(format!(
+                report.warn(format!(
                     "{axis}: status word 0x{word:04x}; its bits are undocumented in format A: `pb3dp arm signals` finds those of the switches"
                 ));
             }
@@ -346,13 +312,13 @@ fn status(condition: &ArmCondition, axis: Axis, findings: &mut Findings) -> (Opt
     }
 }
 
-fn controller(condition: &ArmCondition, findings: &mut Findings) -> String {
+fn controller(condition: &ArmCondition, report: &mut ProbeReport) -> String {
     let word = match condition.comm {
         CommStatus::Comm(word) => word,
         CommStatus::Undocumented(word) => return format!("0x{word:04x}"),
     };
     if let Some(alarm) = word.alarm() {
-        findings.refuse(format!("controller: {alarm}: remove the cause"));
+        report.refuse(format!("controller: {alarm}: remove the cause"));
     }
     let flags = [
         (word.is_dead_man_on(), "dead-man on"),
@@ -367,20 +333,20 @@ fn controller(condition: &ArmCondition, findings: &mut Findings) -> String {
     format!("0x{:04x} ({})", word.0, if set.is_empty() { "none set".to_owned() } else { set.join(", ") })
 }
 
-fn link(seen: &ArmSnapshot, monitor: &ArmMonitor, findings: &mut Findings) -> LinkFacts {
+fn link(seen: &ArmSnapshot, monitor: &ArmMonitor, report: &mut ProbeReport) -> LinkFacts {
     let counters = &seen.counters;
     let lost_percent = 100.0 * counters.lost as f64 / counters.sent.max(1) as f64;
     if lost_percent > LOST_PERCENT_MAX {
-        findings.refuse(format!(
+        report.refuse(format!(
             "{} of {} messages had no answer in time: check the latency timer of the adapter, the baud rate and the CPU load",
             counters.lost, counters.sent
         ));
     } else if counters.lost > 0 {
-        findings.warn(format!("{} of {} messages had no answer in time", counters.lost, counters.sent));
+        report.warn(format!("{} of {} messages had no answer in time", counters.lost, counters.sent));
     }
     let bad = counters.damaged + counters.mismatched;
     if bad > 0 {
-        findings.refuse(format!("{bad} answers were damaged or foreign, limit 0: check cable, ground and baud rate"));
+        report.refuse(format!("{bad} answers were damaged or foreign, limit 0: check cable, ground and baud rate"));
     }
     LinkFacts {
         sent: counters.sent,

@@ -9,7 +9,6 @@ use std::time::{Duration, SystemTime};
 use super::visiting::{self, Output, Tour, Visited};
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use pb3dp_cell::attended_motion::instructions;
 use pb3dp_cell::flight::Moment;
 use pb3dp_cell::interruption::{INTERRUPTED, watch};
 use pb3dp_cell::parts::{ArmChoice, Parts};
@@ -155,7 +154,7 @@ pub(super) fn run(args: &VisitArgs, program: Program) -> Result<ExitCode> {
     }
     let person = match setup.is_emulated() {
         true => None,
-        false => Some(confirmed(&setup, tour.choice.name(), &mut signals)?),
+        false => Some(confirm::confirmed(tour.choice.name(), Some(setup.operator_key_within), &mut signals)?),
     };
     let output = args.output(&setup, program, &parts)?;
     let was_interrupted = watch(signals, &parts.interrupt, std::mem::take(&mut parts.on_bus), program.last_words)?;
@@ -175,16 +174,6 @@ pub(super) fn run(args: &VisitArgs, program: Program) -> Result<ExitCode> {
         (false, true) => ExitCode::SUCCESS,
         (false, false) => ExitCode::FAILURE,
     })
-}
-
-/// Waits until a person has typed the name of the arm.
-fn confirmed(setup: &Setup, name: &str, signals: &mut StopSignals) -> Result<confirm::Console> {
-    confirm::need_person()?;
-    print_line(&format!(
-        "The arm will move. Keep all persons out of its reach and a hand on the emergency stop.\n{}\nType {name} to move it:",
-        instructions(setup.operator_key_within)
-    ))?;
-    confirm::typed(name, signals)
 }
 
 /// The setup for recording calibration data without a calibration: slow, with the board in front of simulated cameras.

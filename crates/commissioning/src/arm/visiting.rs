@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{Clock, FramePair, JointCommand};
+use pb3dp_hal_api::{Clock, EnablePosition, FramePair, JointCommand};
 use pb3dp_kinematics::{Chain, DOF, JointVector};
 use pb3dp_record::images::{StoredFormat, save};
 use pb3dp_record::stops::{ArmStand, Stop, Stops, save_stops};
@@ -18,8 +18,9 @@ use pb3dp_recording::stops::StopsRecording;
 use pb3dp_servo::supervisor::{Confidence, EstimateInput, FrameInput};
 use pb3dp_setup::setup::{Pace, Setup};
 
+use super::drive::{ARRIVED_WITHIN_RAD, GAIN_PER_S, LATE_MAX};
 use super::stillness::shift_px;
-use pb3dp_cell::both_arms::{BothArms, EnablePosition, LedArm};
+use pb3dp_cell::both_arms::{BothArms, LedArm};
 use pb3dp_cell::capturing::{Captured, Capturing};
 use pb3dp_cell::halves::{Capture, Course, Estimate, Mover, Parted, Record};
 use pb3dp_cell::parts::{ArmChoice, Parts};
@@ -27,12 +28,6 @@ use pb3dp_cell::percept::Percept;
 use pb3dp_cell::perception::View;
 use pb3dp_cell::plan::Plan;
 
-/// Proportional gain of the joint error to the plan, 1/s.
-const GAIN_PER_S: f64 = 2.0;
-/// A joint this near to its end has arrived, rad.
-const ARRIVED_WITHIN_RAD: f64 = 5e-4;
-/// Time allowed for arrival after the planned end of a path.
-const LATE_MAX: Duration = Duration::from_secs(3);
 /// Joints that move by less than this within the settling time are stationary, rad: a few steps of a resolver.
 const RESTS_WITHIN_RAD: f64 = 2e-4;
 /// Time for which joints must be stationary before images count: the structure vibrates after a stop.

@@ -1,7 +1,7 @@
 //! The cameras: controls and checks of their images.
 
 use pb3dp_cell::camera_controls::ShownCamera;
-use pb3dp_cell::camera_findings::Finding;
+use pb3dp_cell::finding::Finding;
 use serde::Serialize;
 
 /// Answer of `GET` and `POST /api/controls`.

@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::Poll;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
@@ -9,7 +10,7 @@ use pb3dp_bag::run_messages::{ArmCall, ArmChange, ControlStep};
 use pb3dp_cell::operator::{MotionRequest, Operator};
 use pb3dp_cell::parts::DrivenArm;
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand, JointState};
+use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand, JointState, PowerOrder};
 use pb3dp_hal_middleware::LimiterStatistics;
 use pb3dp_kinematics::JointVector;
 use pb3dp_servo::supervisor::{Decision, OperatorInput};
@@ -274,10 +275,6 @@ impl ReplayedArm {
     fn failed(&self, kind: ArmErrorKind) -> ArmError {
         ArmError::new(kind, format!("arm {}: failed in the recording ({kind:?})", self.info.name))
     }
-
-    fn done(&self, call: Call) -> Result<(), ArmError> {
-        self.asked(call).map(drop)
-    }
 }
 
 fn velocities(call: &ArmCall) -> String {
@@ -319,42 +316,16 @@ impl ArmPower for ReplayedArm {
         arm.is_stopped_by_other
     }
 
-    fn enable(&mut self) -> Result<(), ArmError> {
-        self.done(Call::Enable { here: false, is_begun_only: false })
-    }
-
-    fn begin_enable(&mut self) -> Result<(), ArmError> {
-        self.done(Call::Enable { here: false, is_begun_only: true })
-    }
-
-    fn poll_enable(&mut self) -> Result<bool, ArmError> {
-        self.asked(Call::PollEnable).map(|answer| answer.outcome == "done")
-    }
-
-    fn begin_stop(&mut self) -> Result<(), ArmError> {
-        self.done(Call::BeginStop)
-    }
-
-    fn stop(&mut self) -> Result<(), ArmError> {
-        self.done(Call::Stop)
-    }
-
-    fn reset(&mut self) -> Result<(), ArmError> {
-        self.done(Call::Reset)
+    fn power(&mut self, order: PowerOrder) -> Result<Poll<()>, ArmError> {
+        let answer = self.asked(Call::Power(order))?;
+        let is_pending = order == PowerOrder::PollEnable && answer.outcome != "done";
+        Ok(if is_pending { Poll::Pending } else { Poll::Ready(()) })
     }
 }
 
 impl DrivenArm for ReplayedArm {
     fn statistics(&self) -> LimiterStatistics {
         LimiterStatistics::default()
-    }
-
-    fn enable_here(&mut self) -> Result<(), ArmError> {
-        self.done(Call::Enable { here: true, is_begun_only: false })
-    }
-
-    fn begin_enable_here(&mut self) -> Result<(), ArmError> {
-        self.done(Call::Enable { here: true, is_begun_only: true })
     }
 }
 

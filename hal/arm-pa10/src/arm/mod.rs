@@ -23,6 +23,7 @@ mod worker;
 use std::io::Write as _;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, channel};
+use std::task::Poll;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -30,7 +31,7 @@ use pb3dp_arm_pa10_protocol::codec::{ArmCommand, CodecError};
 use pb3dp_arm_pa10_protocol::gateway_protocol::ArmId;
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand};
+use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, PowerOrder};
 use pb3dp_hal_platform::realtime::{Realtime, Shortfall, enter};
 use pb3dp_hal_platform::transport::{ConnectError, Connector};
 use pb3dp_kinematics::JointState;
@@ -451,36 +452,33 @@ impl ArmPower for Pa10Arm {
         !now.failed && now.latched.is_some_and(by_other)
     }
 
-    fn enable(&mut self) -> Result<(), ArmError> {
-        self.fulfil(PowerRequest::Enable).map_err(|error| self.wish_error(NOT_ENABLED, error))
-    }
-
-    fn begin_enable(&mut self) -> Result<(), ArmError> {
-        self.enabling = Some(self.begin(PowerRequest::Enable));
-        Ok(())
-    }
-
-    fn poll_enable(&mut self) -> Result<bool, ArmError> {
-        let Some((number, deadline)) = self.enabling else { return Ok(self.state() == ArmState::Enabled) };
-        let Some(end) = self.ended(number, deadline) else { return Ok(false) };
-        self.enabling = None;
-        end.map(|()| true).map_err(|error| self.wish_error(NOT_ENABLED, error))
-    }
-
-    fn begin_stop(&mut self) -> Result<(), ArmError> {
-        self.begin(PowerRequest::Stop);
-        Ok(())
-    }
-
-    fn stop(&mut self) -> Result<(), ArmError> {
-        self.fulfil(PowerRequest::Stop).map_err(|error| self.wish_error("stopping", error))
-    }
-
-    fn reset(&mut self) -> Result<(), ArmError> {
-        if !matches!(self.state(), ArmState::Fault | ArmState::EStop) {
-            return Ok(());
-        }
-        self.fulfil(PowerRequest::Reset).map_err(|error| self.wish_error("it is not reset", error))
+    fn power(&mut self, order: PowerOrder) -> Result<Poll<()>, ArmError> {
+        let (done, failed) = match order {
+            PowerOrder::Enable(_) => (self.fulfil(PowerRequest::Enable), NOT_ENABLED),
+            PowerOrder::BeginEnable(_) => {
+                self.enabling = Some(self.begin(PowerRequest::Enable));
+                return Ok(Poll::Ready(()));
+            }
+            PowerOrder::PollEnable => match self.enabling {
+                None if self.state() == ArmState::Enabled => return Ok(Poll::Ready(())),
+                None => return Ok(Poll::Pending),
+                Some((number, deadline)) => {
+                    let Some(end) = self.ended(number, deadline) else { return Ok(Poll::Pending) };
+                    self.enabling = None;
+                    (end, NOT_ENABLED)
+                }
+            },
+            PowerOrder::BeginStop => {
+                self.begin(PowerRequest::Stop);
+                return Ok(Poll::Ready(()));
+            }
+            PowerOrder::Stop => (self.fulfil(PowerRequest::Stop), "stopping"),
+            PowerOrder::Reset if !matches!(self.state(), ArmState::Fault | ArmState::EStop) => {
+                return Ok(Poll::Ready(()));
+            }
+            PowerOrder::Reset => (self.fulfil(PowerRequest::Reset), "it is not reset"),
+        };
+        done.map(Poll::Ready).map_err(|error| self.wish_error(failed, error))
     }
 }
 

@@ -3,10 +3,11 @@
 #![allow(dead_code, reason = "not every test needs everything")]
 
 use std::sync::{Arc, Mutex};
+use std::task::Poll;
 use std::time::Duration;
 
 use pb3dp_arm_pa10_emulation::mock::{MockArm, MockArmConfig};
-use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
+use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState, PowerOrder};
 use pb3dp_hal_clock::VirtualClock;
 use pb3dp_hal_conformance::{ArmExpectations, ArmHooks, arm_suite};
 use pb3dp_hal_middleware::{GuardConfig, LimiterConfig, PA10_MECHANICAL_RANGE_DEG, StartPose};
@@ -152,15 +153,7 @@ impl ArmPower for Tampered {
         self.arm.state()
     }
 
-    fn enable(&mut self) -> Result<(), ArmError> {
-        self.arm.enable()
-    }
-
-    fn stop(&mut self) -> Result<(), ArmError> {
-        self.arm.stop()
-    }
-
-    fn reset(&mut self) -> Result<(), ArmError> {
-        self.arm.reset()
+    fn power(&mut self, order: PowerOrder) -> Result<Poll<()>, ArmError> {
+        self.arm.power(order)
     }
 }

@@ -10,17 +10,11 @@ use super::record::StepReport;
 use super::session::{MoveObservation, Session};
 use super::steps::{BEHIND_MAX_DEG, END_MAX_DEG, OTHERS_MAX_DEG, SAG_MAX_DEG};
 
-/// Runs the step.
+/// Moves the axis there and back.
 ///
 /// # Errors
 /// A failed move, or an operator who does not answer.
-pub fn run(session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
-    let mut arm = session.connect(false)?;
-    let outcome = there_and_back(session, report, &mut arm);
-    session.keep_if_failed(report, &arm, outcome)
-}
-
-fn there_and_back(session: &mut Session<'_>, report: &mut StepReport, arm: &mut SlowArm) -> Result<()> {
+pub fn there_and_back(session: &mut Session<'_>, report: &mut StepReport, arm: &mut SlowArm) -> Result<()> {
     for (way, by) in [("there", session.by_rad), ("back", -session.by_rad)] {
         let axis = session.axis;
         let from_rad = arm.driven.exchange(JointCommand::Hold)?.position_rad;

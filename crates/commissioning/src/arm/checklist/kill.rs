@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail};
 use pb3dp_arm_pa10::arm::ArmSnapshot;
 use pb3dp_cell::terminal::print_line;
-use pb3dp_hal_api::{Arm, ArmPower, JointCommand, JointState};
+use pb3dp_hal_api::JointState;
 use pb3dp_kinematics::JointVector;
 use pb3dp_wiring::commissioning::see;
 use rustix::process::{Pid, Signal, kill_process};
@@ -17,7 +17,7 @@ use super::super::drive::LATE_MAX;
 use super::super::motion::{JointReport, settings_line};
 use super::operator::Question;
 use super::record::StepReport;
-use super::session::{Session, refused};
+use super::session::{Session, refuses_motion};
 use super::steps::{BRAKED_MAX_DEG, LEFT_ALONE};
 use super::stops::{stopped_by_gateway, way};
 
@@ -68,13 +68,7 @@ pub fn run(session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
         return Ok(());
     }
     let monitor = seen.arm.monitor();
-    let enabled = seen.arm.enable();
-    let moved = seen.arm.exchange(JointCommand::Velocity(JointVector::zeros()));
-    if enabled.is_ok() {
-        // Its effect shows in the figures.
-        let _ = seen.arm.stop();
-    }
-    refused(report, "before the reset", (enabled, moved.map(drop)));
+    refuses_motion(report, "before the reset", &mut seen.arm);
     session.operator.ready("Next, the arm is reset.", None, &mut session.signals)?;
     session.reset(&mut seen.arm)?;
     seen.arm.look()?;

@@ -2,7 +2,6 @@
 
 mod comms;
 mod emulated;
-mod interlock;
 mod jog;
 mod kill;
 mod operator;
@@ -42,7 +41,7 @@ use self::emulated::Emulated;
 use self::operator::{Operator, Person};
 use self::record::{Outcome, StepReport};
 use self::report::{ProgramFacts, TestReport, Verdict};
-use self::session::{Session, is_interruption};
+use self::session::{Acts, Session, is_interruption};
 use self::step_record::StepRecord;
 use self::steps::Step;
 use self::test_line::{TestKey, TestLine};
@@ -370,14 +369,7 @@ fn all_steps(asked: &[Step], session: &mut Session<'_>, mut record: Option<&mut 
 fn one_step(step: Step, session: &mut Session<'_>, mut record: Option<&mut StepRecord>) -> StepReport {
     let (wall, begin) = (SystemTime::now(), session.clock.now());
     let mut report = StepReport::begin(step);
-    let outcome = begin_step(step, record.as_deref_mut()).and_then(|()| match step {
-        Step::Comms => comms::run(session, &mut report),
-        Step::Jog => jog::run(session, &mut report),
-        Step::EStop => stops::e_stop(session, &mut report),
-        Step::Cable => stops::cable(session, &mut report),
-        Step::Kill => kill::run(session, &mut report),
-        Step::Interlock => interlock::run(session, &mut report),
-    });
+    let outcome = begin_step(step, record.as_deref_mut()).and_then(|()| acts_of(step).run(session, &mut report));
     report.began = Some(utc(wall));
     report.monotonic_s = Some(begin.as_secs_f64());
     report.took_s = session.clock.now().seconds_since(begin);
@@ -396,6 +388,18 @@ fn one_step(step: Step, session: &mut Session<'_>, mut record: Option<&mut StepR
         report.reasons.push(format!("{error:#}"));
     }
     report
+}
+
+/// The acts of a step, and the arms that they need.
+fn acts_of(step: Step) -> Acts {
+    match step {
+        Step::Comms => Acts::Undriven(comms::run),
+        Step::Jog => Acts::Driven { beside_other: false, act: jog::there_and_back },
+        Step::EStop => Acts::Driven { beside_other: false, act: stops::e_stop },
+        Step::Cable => Acts::Driven { beside_other: false, act: stops::cable },
+        Step::Kill => Acts::Undriven(kill::run),
+        Step::Interlock => Acts::Driven { beside_other: true, act: stops::interlock },
+    }
 }
 
 /// Announces a step, and removes its earlier pass from the commissioning record.

@@ -14,11 +14,11 @@ use pb3dp_cell::parts::ArmChoice;
 use pb3dp_cell::plan::Plan;
 use pb3dp_cell::terminal::print_line;
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{ArmError, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand, JointState};
+use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_kinematics::JointVector;
 use pb3dp_setup::setup::Setup;
-use pb3dp_wiring::commissioning::{SlowArm, wire_slow};
+use pb3dp_wiring::commissioning::{OtherArm, SlowArm, wire_slow};
 
 use super::super::confirm::Interrupted;
 use super::super::drive::{self, Cycle, Drive};
@@ -77,6 +77,39 @@ pub struct Session<'a> {
     pub line: Option<TestLine>,
     /// Output folder of the report.
     pub out: PathBuf,
+}
+
+/// What a step does. Each act records its figures.
+pub enum Acts {
+    /// No arm is driven by this program.
+    Undriven(fn(&mut Session<'_>, &mut StepReport) -> Result<()>),
+    /// An arm is driven, alone or with the other one connected.
+    Driven {
+        /// Whether the other one is connected.
+        beside_other: bool,
+        /// The act.
+        act: fn(&mut Session<'_>, &mut StepReport, &mut SlowArm) -> Result<()>,
+    },
+}
+
+impl Acts {
+    /// Connects the arms that are needed, acts, and keeps the flight recorders if something has failed.
+    ///
+    /// # Errors
+    /// An arm or an operator that does not answer, a failed move, or nothing that stopped an arm.
+    pub fn run(self, session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
+        let (beside_other, act) = match self {
+            Self::Undriven(act) => return act(session, report),
+            Self::Driven { beside_other, act } => (beside_other, act),
+        };
+        let mut arm = session.connect(beside_other)?;
+        let outcome = act(session, report, &mut arm);
+        let may_be_on = |other: &&mut OtherArm| matches!(other.driven.state(), ArmState::Enabled | ArmState::Disabled);
+        if let Some(other) = arm.other.as_mut().filter(may_be_on) {
+            other.driven.stop().context("the other arm: stop order failed; press its emergency stop")?;
+        }
+        session.keep_if_failed(report, &arm, outcome)
+    }
 }
 
 /// Record of a stop.
@@ -396,7 +429,7 @@ impl Session<'_> {
     ///
     /// # Errors
     /// Those of `outcome`.
-    pub fn keep_if_failed(&self, report: &mut StepReport, arm: &SlowArm, outcome: Result<()>) -> Result<()> {
+    fn keep_if_failed(&self, report: &mut StepReport, arm: &SlowArm, outcome: Result<()>) -> Result<()> {
         let complaints = report.complaints();
         let failure = match &outcome {
             Err(error) => format!("{error:#}"),
@@ -437,23 +470,18 @@ pub fn is_interruption(error: &anyhow::Error) -> bool {
 }
 
 /// Checks that an arm refuses to be enabled and moved; an arm that does not refuse is stopped again.
-pub fn refuses_motion(report: &mut StepReport, when: &str, arm: &mut dyn pb3dp_cell::parts::DrivenArm) {
+pub fn refuses_motion(report: &mut StepReport, when: &str, arm: &mut (impl Arm + ArmPower + ?Sized)) {
     let enabled = arm.enable();
     let moved = arm.exchange(JointCommand::Velocity(JointVector::zeros()));
     if enabled.is_ok() {
         // Its effect shows in the figures.
         let _ = arm.stop();
     }
-    refused(report, when, (enabled, moved.map(drop)));
-}
-
-/// Records how an arm responded to enable and motion commands.
-pub fn refused(report: &mut StepReport, when: &str, (enabled, moved): (Result<(), ArmError>, Result<(), ArmError>)) {
     let what = format!("motion is refused {when}");
     match (enabled, moved) {
         (Err(error), Err(_)) => report.holds(what, true, error.to_string()),
         (Ok(()), _) => report.holds(what, false, "the arm could be enabled"),
-        (_, Ok(())) => report.holds(what, false, "a velocity was accepted"),
+        (_, Ok(_)) => report.holds(what, false, "a velocity was accepted"),
     }
 }
 

@@ -1,7 +1,7 @@
 //! User, groups and permissions.
 
-use super::finding::Finding;
 use super::system::{Node, System};
+use pb3dp_cell::finding::Finding;
 
 /// Bit of `CAP_NET_RAW` in Linux's `linux/capability.h`.
 const CAP_NET_RAW: u32 = 13;

@@ -1,10 +1,10 @@
 //! Cameras and their connection to the computer.
 
 use super::access::{Identity, denied};
-use super::finding::{Finding, Verdict};
 use super::needs::{Cameras, Needs};
 use super::system::System;
 use pb3dp_camera_settings::CameraName;
+use pb3dp_cell::finding::{Finding, Verdict};
 
 /// Mbit/s of USB 2: the speed of a camera that is connected with it.
 const USB2_MBIT_PER_S: f64 = 480.0;

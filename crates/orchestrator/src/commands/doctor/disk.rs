@@ -1,8 +1,8 @@
 //! Disk space for recordings.
 
-use super::finding::Finding;
 use super::needs::Needs;
 use super::system::System;
+use pb3dp_cell::finding::Finding;
 
 /// Minutes of recording: fewer than the first number fail, fewer than the second one cause a warning.
 const MINUTES_MIN: [f64; 2] = [1.0, 10.0];

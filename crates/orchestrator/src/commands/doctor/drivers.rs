@@ -1,9 +1,9 @@
 //! Kernel modules, and ARCNET interfaces.
 
 use super::access::Identity;
-use super::finding::Finding;
 use super::needs::{Cameras, Needs};
 use super::system::System;
+use pb3dp_cell::finding::Finding;
 
 /// Type of an ARCNET interface, and the flag of one that is up: `linux/if_arp.h`, `linux/if.h`.
 const ARPHRD_ARCNET: &str = "7";

@@ -1,7 +1,7 @@
 //! Keys and certificates of lines by TCP.
 
-use super::finding::Finding;
 use super::needs::Needs;
+use pb3dp_cell::finding::Finding;
 
 /// Whether the key files can be used, if there is a line by TCP.
 pub(super) fn check(needs: &Needs) -> Option<Finding> {

@@ -4,10 +4,10 @@ mod access;
 mod cameras;
 mod disk;
 mod drivers;
-mod finding;
 mod keys;
 mod needs;
 mod realtime;
+mod report;
 mod serial;
 mod signals;
 mod system;
@@ -22,9 +22,10 @@ use anyhow::Result;
 use clap::Args;
 use pb3dp_setup::layers::SetupArgs;
 
-use self::finding::{Finding, Report};
 use self::needs::Needs;
+use self::report::Report;
 pub(super) use self::system::free_bytes;
+use pb3dp_cell::finding::Finding;
 use pb3dp_cell::terminal::print_line;
 
 use self::system::{Machine, System};
@@ -73,9 +74,9 @@ pub fn run(args: &DoctorArgs) -> Result<ExitCode> {
             Report::of(vec![Finding::fail("configuration", found, "correct the file; nothing else was checked")])
         }
     };
-    let text = if args.json { serde_json::to_string(&report)? } else { report.text() };
+    let text = if args.json { report.json()? } else { report.text() };
     print_line(&text)?;
-    Ok(ExitCode::from(report.worst.exit_code()))
+    Ok(ExitCode::from(report.exit_code()))
 }
 
 /// All checks, in the order of the output.

@@ -1,8 +1,8 @@
 //! Real-time capabilities of this computer and user.
 
-use super::finding::Finding;
 use super::needs::Needs;
 use super::system::System;
+use pb3dp_cell::finding::Finding;
 
 /// Clocks that a processor reads without a device access.
 const QUICK_CLOCKS: [&str; 4] = ["tsc", "arch_sys_counter", "kvm-clock", "riscv_clocksource"];

@@ -1,9 +1,9 @@
 //! Serial ports of arms and gateways.
 
 use super::access::{Identity, denied};
-use super::finding::Finding;
 use super::needs::Needs;
 use super::system::System;
+use pb3dp_cell::finding::Finding;
 
 const CHECK: &str = "serial ports";
 

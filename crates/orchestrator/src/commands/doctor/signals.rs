@@ -1,7 +1,7 @@
 //! The signals of the arms: without them a run opens no brake.
 
-use super::finding::Finding;
 use super::needs::Needs;
+use pb3dp_cell::finding::Finding;
 
 pub(super) fn check(needs: &Needs) -> Option<Finding> {
     const CHECK: &str = "signals of the arms";

@@ -1,8 +1,8 @@
 //! The installed systemd unit of a gateway, compared with the sandbox of the shipped one.
 
-use super::finding::Finding;
 use super::needs::Needs;
 use super::system::System;
+use pb3dp_cell::finding::Finding;
 
 const CHECK: &str = "gateway service";
 

@@ -13,7 +13,8 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use pb3dp_camera_v4l2::video::VideoSystem;
 use pb3dp_camera_v4l2::{StereoCounters, V4l2StereoCamera};
-use pb3dp_cell::camera_findings::{Finding, ImageChecks};
+use pb3dp_cell::camera_findings::ImageChecks;
+use pb3dp_cell::finding::Finding;
 use pb3dp_cell::terminal::print_line;
 use pb3dp_hal_api::{CameraErrorKind, Clock, FramePair, StereoCamera};
 use pb3dp_wiring::CalibrationOptions;
@@ -96,8 +97,7 @@ fn checked(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &CheckArgs
     findings.extend(ImageChecks::new(rig.as_ref()).findings(&taken.samples.iter().collect::<Vec<_>>()));
     if let Some(failure) = taken.failure {
         let found = format!("{} of {} pairs came: {failure}", taken.moments.len(), args.pairs);
-        findings
-            .insert(0, Finding::missing("stream", Some(false), found, "look at plug, cable and hub, then check again"));
+        findings.insert(0, Finding::fail("stream", found, "look at plug, cable and hub, then check again"));
     }
     Ok(Report::of(name, taken.moments.len() as u64, findings))
 }

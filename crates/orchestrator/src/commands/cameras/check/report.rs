@@ -1,8 +1,6 @@
 //! The report of a check: all measurements, with the verdict.
 
-use std::fmt::Write as _;
-
-use pb3dp_cell::camera_findings::{Finding, Limits};
+use pb3dp_cell::finding::{Finding, Verdict, count};
 use serde::Serialize;
 
 /// All measurements.
@@ -17,47 +15,36 @@ pub(super) struct Report {
 
 impl Report {
     pub(super) fn of(cameras: String, pairs: u64, findings: Vec<Finding>) -> Self {
-        let passed = findings.iter().all(|finding| finding.passed != Some(false));
+        let passed = findings.iter().all(|finding| finding.verdict != Verdict::Fail);
         Self { passed, cameras, pairs, findings }
     }
 
     /// As text.
     pub(super) fn text(&self) -> String {
-        let mut text = format!("{}: {} pairs\n", self.cameras, self.pairs);
-        for finding in &self.findings {
-            let Finding { check, passed, value, unit, limit_min, limit_max, found, advice } = finding;
-            let word = match passed {
-                Some(true) => "pass",
-                Some(false) => "FAIL",
-                None => "-",
-            };
-            let _ = write!(text, "{word:<5} {check}: ");
-            if let Some(value) = value {
-                let limits = Limits { min: *limit_min, max: *limit_max };
-                let _ =
-                    write!(text, "{value:.2} {unit} ({}){}", limits.text(), if found.is_empty() { "" } else { "; " });
-            }
-            let _ = writeln!(text, "{found}");
-            if let Some(advice) = advice {
-                let _ = writeln!(text, "      -> {advice}");
-            }
-        }
-        let count = |wanted: Option<bool>| self.findings.iter().filter(|finding| finding.passed == wanted).count();
-        let _ =
-            write!(text, "{} passed, {} failed, {} not checked", count(Some(true)), count(Some(false)), count(None));
-        text
+        let of = |verdict| count(&self.findings, verdict);
+        let lines: String = self.findings.iter().map(|finding| finding.text(5)).collect();
+        format!(
+            "{}: {} pairs\n{lines}{} passed, {} failed, {} not checked",
+            self.cameras,
+            self.pairs,
+            of(Verdict::Pass),
+            of(Verdict::Fail),
+            of(Verdict::NotChecked)
+        )
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use pb3dp_cell::finding::Limits;
+
     use super::*;
 
     #[test]
     fn one_failure_decides_and_what_is_not_checked_does_not() {
         let pass = Finding::judged("a", (1.0, "px"), Limits::at_most(2.0), "", "");
-        let not_checked = Finding::missing("b", None, "no calibration", "give --calib FILE");
-        let fail = Finding::missing("c", Some(false), "nothing to see", "light");
+        let not_checked = Finding::not_checked("b", "no calibration", "give --calib FILE");
+        let fail = Finding::fail("c", "nothing to see", "light");
         assert!(Report::of("x".into(), 3, vec![pass.clone(), not_checked.clone()]).passed);
         let report = Report::of("x".into(), 3, vec![pass, not_checked, fail]);
         let text = report.text();

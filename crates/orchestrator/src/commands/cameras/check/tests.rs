@@ -1,6 +1,7 @@
 //! Checks of emulated cameras that show a real pair.
 
 use pb3dp_camera_v4l2::emulated::EmulatedCamera;
+use pb3dp_cell::finding::Verdict;
 
 use super::super::emulated_rig::{case, system, system_of_one, typed, typed_of_one};
 use super::*;
@@ -13,7 +14,7 @@ fn check(more: &[&str], change: impl Fn(usize, &mut EmulatedCamera)) -> Result<R
 }
 
 fn failed(report: &Report) -> Vec<&str> {
-    let findings = report.findings.iter().filter(|finding| finding.passed == Some(false));
+    let findings = report.findings.iter().filter(|finding| finding.verdict == Verdict::Fail);
     findings.map(|finding| finding.check.as_str()).collect()
 }
 

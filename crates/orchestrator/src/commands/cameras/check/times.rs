@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use pb3dp_camera_settings::SkewCost;
 use pb3dp_camera_v4l2::{StereoCounters, StreamCounters};
-use pb3dp_cell::camera_findings::{Finding, Limits};
+use pb3dp_cell::finding::{Finding, Limits};
 
 /// Tolerance of the rate, as a share.
 const RATE_SHARE_MAX: f64 = 0.02;
@@ -115,6 +115,8 @@ fn missing(moments: &[Moment], counters: &StereoCounters) -> Finding {
 
 #[cfg(test)]
 mod tests {
+    use pb3dp_cell::finding::Verdict;
+
     use super::*;
 
     const PERIOD: Duration = Duration::from_nanos(33_333_333);
@@ -133,7 +135,7 @@ mod tests {
     #[track_caller]
     fn check(moments: &[Moment], expected: [bool; 4]) -> Vec<Finding> {
         let findings = findings(moments, PERIOD, (Duration::from_millis(5), &COST), &StereoCounters::default());
-        let found: Vec<bool> = findings.iter().map(|finding| finding.passed.unwrap()).collect();
+        let found: Vec<bool> = findings.iter().map(|finding| finding.verdict == Verdict::Pass).collect();
         assert_eq!(found, expected, "{findings:?}");
         findings
     }
@@ -164,6 +166,6 @@ mod tests {
     #[test]
     fn too_few_pairs_fail() {
         let findings = findings(&[], PERIOD, (Duration::from_millis(5), &COST), &StereoCounters::default());
-        assert!(findings[..2].iter().all(|finding| finding.passed == Some(false)), "{findings:?}");
+        assert!(findings[..2].iter().all(|finding| finding.verdict == Verdict::Fail), "{findings:?}");
     }
 }

@@ -1,7 +1,5 @@
 //! Checks of the images of a stereo rig against limits: exposure, sharpness, and vertical alignment, each with a remedy.
 
-mod finding;
-
 use image::RgbImage;
 use pb3dp_estimation::pair_check::{PairCheck, PairVerdict, check_pair};
 use pb3dp_estimation::rig_watch::{MATCHES_MIN, RowMeter};
@@ -10,7 +8,7 @@ use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_geometry::StereoRig;
 use pb3dp_hal_api::FramePair;
 
-pub use self::finding::{Finding, Limits};
+use crate::finding::{Finding, Limits};
 use crate::image_quality::{EDGE_MIN_GREY, EDGES_MIN, Exposure, blur_of, brighter_by_percent, softer_by_px};
 
 /// Share of saturated or black pixels, percent: a lamp or its reflection, a black background.
@@ -115,7 +113,7 @@ fn sharpness(blurs: [Option<f64>; 2]) -> Vec<Finding> {
                 let found = format!("fewer than {EDGES_MIN} edges of {EDGE_MIN_GREY} grey levels are seen");
                 let advice = "show both cameras something with sharp edges at the distance at which they work (a printed page, a calibration \
                               board); if they see one, focus them and give more light";
-                Finding::missing(check, Some(false), found, advice)
+                Finding::fail(check, found, advice)
             }
         });
     }
@@ -137,9 +135,8 @@ fn sharpness(blurs: [Option<f64>; 2]) -> Vec<Finding> {
 fn sides(samples: &[&FramePair], rig: Option<&StereoRig>) -> Finding {
     const CHECK: &str = "sides";
     let Some(rig) = rig else {
-        return Finding::missing(
+        return Finding::not_checked(
             CHECK,
-            None,
             NO_CALIBRATION,
             "give --calib FILE to see whether left and right are exchanged",
         );
@@ -153,7 +150,7 @@ fn sides(samples: &[&FramePair], rig: Option<&StereoRig>) -> Finding {
     if !is_swapped && !checks.iter().any(has_verdict) {
         let found = format!("only {points} points in all are found in both images");
         let advice = "show both cameras a scene with much texture, 300 to 800 mm away";
-        return Finding::missing(CHECK, None, found, advice);
+        return Finding::not_checked(CHECK, found, advice);
     }
     let percent = if is_swapped { 100.0 } else { behind as f64 / points.max(1) as f64 * 100.0 };
     let (found, advice) = if is_swapped {
@@ -177,16 +174,15 @@ fn sides(samples: &[&FramePair], rig: Option<&StereoRig>) -> Finding {
 fn rows(samples: &[&FramePair], meter: Option<&mut Result<RowMeter, EstimationError>>) -> Finding {
     const CHECK: &str = "rows";
     let Some(meter) = meter else {
-        return Finding::missing(
+        return Finding::not_checked(
             CHECK,
-            None,
             NO_CALIBRATION,
             "give --calib FILE to have the rows of both images compared",
         );
     };
     let does_not_fit = |error: &EstimationError| {
         let found = format!("the images do not fit the calibration: {error}");
-        Finding::missing(CHECK, Some(false), found, "give the calibration of these cameras in this size")
+        Finding::fail(CHECK, found, "give the calibration of these cameras in this size")
     };
     let meter = match meter {
         Ok(meter) => meter,
@@ -203,7 +199,7 @@ fn rows(samples: &[&FramePair], meter: Option<&mut Result<RowMeter, EstimationEr
     let Some(middle) = measured.get(measured.len() / 2) else {
         let found = format!("only {most} points are found in both images, {MATCHES_MIN} are needed");
         let advice = "show both cameras a scene with much texture, 300 to 800 mm away; if they see one, the calibration is far off";
-        return Finding::missing(CHECK, Some(false), found, advice);
+        return Finding::fail(CHECK, found, advice);
     };
     let found = format!(
         "{:+.2} px at the centre, each point {:.2} px around it, {} points",
@@ -222,6 +218,7 @@ mod tests {
     use pb3dp_record::images::load_rgb;
 
     use super::*;
+    use crate::finding::Verdict;
 
     /// A real pair, and the calibration of its cameras.
     fn real() -> (FramePair, StereoRig) {
@@ -267,8 +264,9 @@ mod tests {
         assert_eq!(blur_of(&[&RgbImage::from_pixel(320, 240, Rgb([90; 3]))]), None);
         let findings = findings(&[pair(board(0.8), board(2.5))], None);
         let passed =
-            ["sharpness left", "sharpness right", "focus of both", "rows"].map(|name| named(&findings, name).passed);
-        assert_eq!(passed, [Some(true), Some(false), Some(false), None], "{findings:?}");
+            ["sharpness left", "sharpness right", "focus of both", "rows"].map(|name| named(&findings, name).verdict);
+        let (pass, fail) = (Verdict::Pass, Verdict::Fail);
+        assert_eq!(passed, [pass, fail, fail, Verdict::NotChecked], "{findings:?}");
         assert_eq!(named(&findings, "focus of both").found, "the right one is softer");
     }
 
@@ -278,7 +276,7 @@ mod tests {
         let verdicts = |left: u8, right: u8| {
             let findings = findings(&[pair(grey(left), grey(right))], None);
             ["brightness left", "clipped bright left", "clipped dark right", "brightness of both"]
-                .map(|name| named(&findings, name).passed == Some(true))
+                .map(|name| named(&findings, name).verdict == Verdict::Pass)
         };
         assert_eq!(verdicts(100, 95), [true, true, true, true]);
         assert_eq!(verdicts(255, 240), [false, false, true, true]);
@@ -291,7 +289,7 @@ mod tests {
         let (FramePair { left, right, .. }, rig) = real();
         let exchanged = findings(&[pair(right.clone(), left.clone()), pair(right, left)], Some(&rig));
         let sides = named(&exchanged, "sides");
-        assert_eq!((sides.passed, sides.value), (Some(false), Some(100.0)), "{sides:?}");
+        assert_eq!((sides.verdict, sides.value), (Verdict::Fail, Some(100.0)), "{sides:?}");
         assert!(sides.found.starts_with("left and right are exchanged"), "{sides:?}");
         assert!(
             sides.advice.as_ref().is_some_and(|advice| advice.contains("exchange --left and --right")),
@@ -299,7 +297,7 @@ mod tests {
         );
         // What says nothing is not judged.
         let grey = || RgbImage::from_pixel(640, 480, Rgb([90; 3]));
-        assert_eq!(named(&findings(&[pair(grey(), grey())], Some(&rig)), "sides").passed, None);
+        assert_eq!(named(&findings(&[pair(grey(), grey())], Some(&rig)), "sides").verdict, Verdict::NotChecked);
         assert_eq!(named(&findings(&[pair(grey(), grey())], None), "sides").found, NO_CALIBRATION);
     }
 
@@ -307,11 +305,11 @@ mod tests {
     fn a_real_pair_passes_and_a_shifted_one_does_not() {
         let (FramePair { left, right, .. }, rig) = real();
         let whole = findings(&[pair(left.clone(), right.clone())], Some(&rig));
-        assert!(whole.iter().all(|finding| finding.passed == Some(true)), "{whole:#?}");
+        assert!(whole.iter().all(|finding| finding.verdict == Verdict::Pass), "{whole:#?}");
         // Three rows lower.
         let lower = RgbImage::from_fn(right.width(), right.height(), |x, y| *right.get_pixel(x, y.saturating_sub(3)));
         let findings = findings(&[pair(left, lower)], Some(&rig));
         let rows = named(&findings, "rows");
-        assert!(rows.passed == Some(false) && (rows.value.unwrap() - 3.0).abs() < 1.0, "{rows:?}");
+        assert!(rows.verdict == Verdict::Fail && (rows.value.unwrap() - 3.0).abs() < 1.0, "{rows:?}");
     }
 }
