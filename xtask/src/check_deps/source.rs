@@ -64,7 +64,7 @@ const WORLDS: [World; 6] = [
             "crates/bag/src/writer.rs",
             "crates/recording/src/replay/mod.rs",
             "crates/cell/src/attended_motion.rs",
-            "crates/cell/src/beside.rs",
+            "crates/cell/src/lockstep.rs",
             "crates/cell/src/console.rs",
             "crates/cell/src/console/reading.rs",
             "crates/cell/src/interruption.rs",
