@@ -1,4 +1,4 @@
-"""The pages of recorded runs in a browser: zoom and hover, without a network and without scripts."""
+"""The pages of recorded runs in a browser: zoom, hover and print, without a network."""
 
 import csv
 import json
@@ -251,11 +251,27 @@ def test_a_comparison_has_both_runs_where_both_are(folder, opened):
     page.screenshot(path=str(ARTEFACTS / "compare.png"))
 
 
-def test_without_scripts_the_plots_are_images(folder, opened):
+def test_without_scripts_the_page_says_what_is_missing(folder, opened):
     page = opened(folder / "report/report.html", java_script_enabled=False)
-    count = page.locator("figure.plot").count()
-    assert count >= 10 and page.locator("figure.plot > svg:visible").count() == count
-    assert page.locator("figure.plot > svg .line").count() > count and page.locator(".axis-bar").count() == 0
+    assert page.locator("text=The plots of this page need scripts").is_visible() and page.locator(".axis-bar").count() == 0
+    assert page.locator("table").count() > 3
+
+
+def test_a_printed_page_has_its_plots_in_the_colours_of_paper(folder, opened):
+    page = opened(folder / "report/report.html", color_scheme="dark")
+    ink = "getComputedStyle(document.documentElement).getPropertyValue('--ink')"
+    dark, before = page.evaluate(ink), canvas(page, "(a) position")
+    page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    page.emulate_media(media="print")
+    assert page.evaluate(ink) != dark and canvas(page, "(a) position") != before
+    plots = page.locator("figure.plot.live canvas:visible")
+    assert plots.count() >= 10 and page.locator(".axis-bar:visible, .reading:visible").count() == 0
+    widths = plots.evaluate_all("(all) => all.map((one) => one.clientWidth - one.closest('figure').clientWidth)")
+    assert max(widths) <= 0
+    page.screenshot(path=str(ARTEFACTS / "report_printed.png"))
+    page.emulate_media(media="screen")
+    page.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert page.evaluate(ink) == dark
 
 
 def test_texts_of_a_recording_are_not_run(folder, opened):

@@ -241,7 +241,7 @@ def test_the_report_of_a_recording_has_the_figures_of_the_run(tmp_path):
         assert (tmp_path / "out" / table).read_text() == (tmp_path / "report" / table).read_text(), table
     assert (tmp_path / "out/settings.toml").read_text() == (tmp_path / "report/settings.toml").read_text()
     page = (tmp_path / "report/report.html").read_text()
-    assert "<svg" in page and "recording " in page
+    assert '<figure class="plot">' in page and "recording " in page
 
 
 def rows(table):

@@ -8,12 +8,13 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
+use pb3dp_cell::capturing::Captured;
 use pb3dp_cell::cell::{FreeTarget, SimulatedCell};
-use pb3dp_cell::halves::{Course, Mover, Watcher};
-use pb3dp_cell::looking::Looking;
+use pb3dp_cell::halves::{Course, Estimate, Mover};
+use pb3dp_cell::looking::{Estimating, Looking};
 use pb3dp_cell::moving::{Moved, Moving};
+use pb3dp_cell::noting::PairEstimate;
 use pb3dp_cell::percept::Percept;
-use pb3dp_cell::strip::Strip;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
 use pb3dp_servo::TargetObservation;
@@ -139,11 +140,11 @@ pub fn run(setup: &Setup, disturbance: Disturbance, for_s: f64) -> Result<Ran> {
     })?;
     let clock = Arc::clone(&parts.clock);
     let cell = parts.cell.clone();
-    let looking =
-        Looking::new(setup, (parts.camera, parts.cell, parts.marking), (Strip::default(), &parts.clock), None)?;
+    let Looking { mut capturing, estimating } =
+        Looking::new(setup, (parts.camera, parts.cell, parts.marking), &parts.clock)?;
     let moving = Moving::new(setup, (parts.vs, parts.tc), &*parts.experiment, clock.now())?;
     let mut watching =
-        Watching { looking, cell: cell.clone(), disturbance, clock: Arc::clone(&clock), begin: clock.now() };
+        Watching { estimating, cell: cell.clone(), disturbance, clock: Arc::clone(&clock), begin: clock.now() };
     let mut disturbed = Disturbed {
         inner: moving,
         disturbance,
@@ -159,7 +160,10 @@ pub fn run(setup: &Setup, disturbance: Disturbance, for_s: f64) -> Result<Ran> {
     let interrupt = AtomicBool::new(false);
     let duration = Duration::from_secs_f64(for_s);
     let course = Course { setup, clock: &clock, duration, interrupt: &interrupt };
-    let ended = course.run_in_lockstep(&mut watching, &mut disturbed).err().map(|error| format!("{error:#}"));
+    let ended = course
+        .run_in_lockstep((&mut capturing, &mut watching, &mut ()), &mut disturbed)
+        .err()
+        .map(|error| format!("{error:#}"));
     disturbed.sample();
     Ok(Ran { ended, ..disturbed.ran })
 }
@@ -191,34 +195,29 @@ impl Ran {
 
 /// The vision half, without pairs while the camera stands still.
 struct Watching<'a> {
-    looking: Looking<'a>,
+    estimating: Estimating<'a>,
     cell: SimulatedCell,
     disturbance: Disturbance,
     clock: Arc<dyn Clock>,
     begin: MonotonicTime,
 }
 
-impl Watcher for Watching<'_> {
-    type Step = Moved;
+impl Estimate<Moved> for Watching<'_> {
+    type Observed = PairEstimate;
 
     fn begin_at(&mut self, begin: MonotonicTime) {
         self.cell.begin_at(begin);
-        self.looking.begin_at(begin);
         self.begin = begin;
     }
 
     fn moved(&mut self, step: &Moved) {
-        self.looking.push_joints(step.vs_joints);
+        self.estimating.moved(step);
     }
 
-    fn look(&mut self) -> Result<Option<Percept>> {
-        let seen = self.looking.look()?.map(|seen| seen.percept());
+    fn look(&mut self, frame: Captured) -> Result<(Option<Percept>, PairEstimate)> {
+        let seen = self.estimating.look(frame)?;
         let t_s = self.clock.now().seconds_since(self.begin);
-        Ok(seen.filter(|_| !self.disturbance.stops(Part::Camera, t_s)))
-    }
-
-    fn note(&mut self) -> Result<()> {
-        Ok(())
+        Ok(((!self.disturbance.stops(Part::Camera, t_s)).then(|| seen.percept()), seen))
     }
 }
 

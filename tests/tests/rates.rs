@@ -7,11 +7,11 @@ use std::time::Duration;
 
 use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
 use pb3dp_cell::cell::{FreeTarget, SimulatedCell};
-use pb3dp_cell::halves::{Course, Mover, Watcher};
+use pb3dp_cell::halves::{Course, Mover, Record};
 use pb3dp_cell::looking::Looking;
 use pb3dp_cell::moving::{Moved, Moving};
+use pb3dp_cell::noting::PairEstimate;
 use pb3dp_cell::percept::Percept;
-use pb3dp_cell::strip::Strip;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_setup::setup::Setup;
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig};
@@ -58,9 +58,9 @@ fn ran(arm: usize, lines: &'static [&'static str], every_s: f64, for_s: f64) -> 
     .unwrap();
     let (clock, cell) = (Arc::clone(&parts.clock), parts.cell.clone());
     let sees = (parts.camera, parts.cell, parts.marking);
-    let looking = Looking::new(&setup, sees, (Strip::default(), &parts.clock), None).unwrap();
+    let mut looking = Looking::new(&setup, sees, &parts.clock).unwrap();
     let moving = Moving::new(&setup, (parts.vs, parts.tc), &*parts.experiment, clock.now()).unwrap();
-    let mut watching = Watching { looking, cell };
+    let mut target = FreeToMove(cell);
     let mut faulty = Faulty {
         inner: moving,
         faults: Faults { arm, lines, every_s },
@@ -72,34 +72,19 @@ fn ran(arm: usize, lines: &'static [&'static str], every_s: f64, for_s: f64) -> 
     let interrupt = AtomicBool::new(false);
     let duration = Duration::from_secs_f64(FROM_S + for_s);
     let course = Course { setup: &setup, clock: &clock, duration, interrupt: &interrupt };
-    let ended = course.run_in_lockstep(&mut watching, &mut faulty).err().map(|error| format!("{error:#}"));
+    let ended = course
+        .run_in_lockstep((&mut looking.capturing, &mut looking.estimating, &mut target), &mut faulty)
+        .err()
+        .map(|error| format!("{error:#}"));
     Ran { ended, ended_s: faulty.ended_s }
 }
 
-/// The vision half, with the target that moves by itself.
-struct Watching<'a> {
-    looking: Looking<'a>,
-    cell: SimulatedCell,
-}
+/// The target that moves by itself.
+struct FreeToMove(SimulatedCell);
 
-impl Watcher for Watching<'_> {
-    type Step = Moved;
-
+impl Record<Moved, PairEstimate> for FreeToMove {
     fn begin_at(&mut self, begin: MonotonicTime) {
-        self.cell.begin_at(begin);
-        self.looking.begin_at(begin);
-    }
-
-    fn moved(&mut self, step: &Moved) {
-        self.looking.push_joints(step.vs_joints);
-    }
-
-    fn look(&mut self) -> anyhow::Result<Option<Percept>> {
-        Ok(self.looking.look()?.map(|seen| seen.percept()))
-    }
-
-    fn note(&mut self) -> anyhow::Result<()> {
-        Ok(())
+        self.0.begin_at(begin);
     }
 }
 

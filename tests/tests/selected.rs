@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use pb3dp_cell::experiment;
+use pb3dp_cell::journal::TruePoses;
 use pb3dp_cell::moving::Moved;
 use pb3dp_cell::noting::PairEstimate;
 use pb3dp_cell::operator::Operator;
@@ -37,7 +38,7 @@ struct Watching {
 }
 
 impl Spectator for Watching {
-    fn moved(&mut self, step: &Moved) {
+    fn moved(&mut self, step: &Moved, _poses: Option<TruePoses>) {
         self.seen.lock().unwrap().states.push(step.decision.state);
     }
 
@@ -137,7 +138,7 @@ fn targets_are_selected_one_after_another_while_the_run_goes_on() {
         marking: Marking::Awaited,
         selections: Some(selections),
         operator: Box::new(script),
-        spectator: Some(Box::new(watching)),
+        spectators: vec![Box::new(watching)],
         ..parts
     };
     let outcome = experiment::run(&setup, parts, Some(10.0), None).unwrap();

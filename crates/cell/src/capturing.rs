@@ -101,8 +101,6 @@ impl Capturing {
 }
 
 impl Capture for Capturing {
-    type Frame = Captured;
-
     fn capture(&mut self) -> Result<Option<Captured>> {
         match self.wait() {
             Ok((frame, view)) => {
@@ -130,10 +128,6 @@ impl Capture for Capturing {
         let exposed_at = camera.camera.expose(self.timeout);
         self.exposed = exposed_at.map(|at| (at, self.cam_left_from_target_at(at)));
         exposed_at.is_some()
-    }
-
-    fn input(frame: &Captured) -> FrameInput {
-        frame.frame
     }
 }
 

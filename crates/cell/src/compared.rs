@@ -7,6 +7,7 @@ use nalgebra::Vector3;
 use pb3dp_estimation::estimator::{FramePrior, Method};
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::region::Region;
+use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Model, Target};
 use pb3dp_hal_api::FramePair;
@@ -48,13 +49,11 @@ impl Onlooker {
         let started = Instant::now();
         let outcome = self.follower.look(&pair.left, &pair.right, frame.region, frame.prior, &mut || true);
         let latency_millis = started.elapsed().as_secs_f64() * 1e3;
-        match outcome {
-            Ok(estimate) => self.log.push(frame, &estimate, latency_millis),
-            Err(error) => {
-                tracing::warn!("compared method {}: {error}", self.method);
-                self.log.push_error(frame, latency_millis);
-            }
-        }
+        let estimate = outcome.unwrap_or_else(|error| {
+            tracing::warn!("compared method {}: {error}", self.method);
+            TrackEstimate::without_pose(Status::Error, error.to_string())
+        });
+        self.log.push(frame, &estimate, latency_millis);
     }
 
     /// The recorded estimates.
@@ -116,28 +115,10 @@ impl MethodLog {
             pose_covariance: estimate.pose_covariance,
         });
     }
-
-    fn push_error(&mut self, frame: &Frame<'_>, latency_millis: f64) {
-        self.estimated.push(None);
-        self.truth.extend(frame.cam_left_from_target.as_ref().map(Pose::relabel));
-        self.frames.push(FrameSample {
-            t_s: frame.t_s,
-            status: "error".to_owned(),
-            fitness: None,
-            depth_error_m: None,
-            normal_error_rad: None,
-            latency_millis,
-            age_millis: None,
-            covariance: None,
-            pose_covariance: None,
-        });
-    }
 }
 
 #[cfg(test)]
 mod tests {
-    use pb3dp_estimation_core::status::Status;
-
     use super::*;
 
     #[test]

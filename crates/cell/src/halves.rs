@@ -7,11 +7,13 @@ use std::time::Duration;
 
 use anyhow::Result;
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::Clock;
-use pb3dp_servo::supervisor::FrameInput;
-use pb3dp_setup::setup::Setup;
+use pb3dp_hal_api::{Clock, JointState};
+use pb3dp_setup::setup::{Pace, Setup};
 
+use super::capturing::Captured;
+use super::cycles::Punctuality;
 use super::percept::Percept;
+use super::{live, lockstep};
 
 /// The half that moves both arms.
 pub trait Mover: Send {
@@ -43,128 +45,75 @@ pub trait Mover: Send {
     fn stop(&mut self) -> Result<()>;
 }
 
-/// The half that processes images.
-pub trait Watcher {
-    /// Record of a control step.
-    type Step: Copy + Send;
-
-    /// Sets the time of the first control step.
-    fn begin_at(&mut self, begin: MonotonicTime);
-
-    /// Receives a finished control step.
-    fn moved(&mut self, step: &Self::Step);
-
-    /// Waits for the next pair and estimates the target pose; `None` if no pair arrived.
-    ///
-    /// # Errors
-    /// If no more pairs can arrive.
-    fn look(&mut self) -> Result<Option<Percept>>;
-
-    /// Records the last estimate; the motion half has it already.
-    ///
-    /// # Errors
-    /// If the record cannot be written.
-    fn note(&mut self) -> Result<()>;
-}
-
-/// A vision half whose three parts can have one thread each.
-pub trait Parted {
-    /// Record of a control step.
-    type Step: Copy + Send;
-    /// A captured frame.
-    type Frame: Send;
-    /// The estimate from a frame.
-    type Observed: Send;
-
-    /// Sets the time of the first control step.
-    fn begin_at(&mut self, begin: MonotonicTime);
-
-    /// The capture, estimation and recording parts.
-    #[allow(clippy::type_complexity, reason = "each part with what it has to go with")]
-    fn parts(
-        &mut self,
-    ) -> (
-        impl Capture<Frame = Self::Frame>,
-        impl Estimate<Frame = Self::Frame, Observed = Self::Observed, Step = Self::Step>,
-        impl Record<Observed = Self::Observed, Step = Self::Step>,
-    );
-}
-
-/// Captures frames.
+/// Captures frames: the first part of the half that processes images.
 pub trait Capture: Send {
-    /// A captured frame.
-    type Frame: Send;
-
     /// Waits for the next frame; `None` if no frame arrived.
     ///
     /// # Errors
     /// If no more frames can arrive.
-    fn capture(&mut self) -> Result<Option<Self::Frame>>;
+    fn capture(&mut self) -> Result<Option<Captured>>;
 
     /// In simulated time: waits for the end of the next exposure and keeps what the frame depends on, so that the next
     /// [`Self::capture`] gives the same frame whatever moves meanwhile. Returns whether the camera can do so.
     fn expose(&mut self) -> bool {
         false
     }
-
-    /// Sequence number and times of a frame.
-    fn input(frame: &Self::Frame) -> FrameInput;
 }
 
-/// Estimates the target pose from frames.
-pub trait Estimate: Send {
-    /// A captured frame.
-    type Frame;
+/// Estimates the target pose from frames; `S` is the record of a control step.
+pub trait Estimate<S>: Send {
     /// The estimate, to be recorded.
-    type Observed;
-    /// Record of a control step.
-    type Step;
+    type Observed: Send;
+
+    /// Sets the time of the first control step.
+    fn begin_at(&mut self, _begin: MonotonicTime) {}
 
     /// Receives a finished control step.
-    fn moved(&mut self, step: &Self::Step);
+    fn moved(&mut self, step: &S);
 
     /// Keeps what the operator has selected so far for the next [`Self::look`]. To be called before each.
     fn take_selection(&mut self) {}
 
-    /// Estimates from a frame: the input of the motion half, and the estimate to be recorded.
+    /// Estimates from a frame: the input of the motion half, if it gets any, and the estimate to be recorded.
     ///
     /// # Errors
     /// If the method fails permanently.
-    fn look(&mut self, frame: Self::Frame) -> Result<(Percept, Self::Observed)>;
+    fn look(&mut self, frame: Captured) -> Result<(Option<Percept>, Self::Observed)>;
 }
 
-/// Records estimates and control steps.
-pub trait Record {
-    /// The estimate from a frame.
-    type Observed;
-    /// Record of a control step.
-    type Step;
+/// Record of a control step with the joints that the estimation needs.
+pub trait CameraArmStep {
+    /// Measured joints of the arm that carries the cameras, after the step.
+    fn camera_arm_joints(&self) -> &JointState;
+}
+
+impl CameraArmStep for JointState {
+    fn camera_arm_joints(&self) -> &JointState {
+        self
+    }
+}
+
+/// Records control steps `S` and estimates `O`; `()` records nothing.
+pub trait Record<S, O> {
+    /// Sets the time of the first control step.
+    fn begin_at(&mut self, _begin: MonotonicTime) {}
 
     /// Receives a finished control step.
-    fn moved(&mut self, step: &Self::Step);
+    fn moved(&mut self, _step: &S) {}
 
-    /// Records the estimate from a frame.
+    /// Records the estimate from a frame; the motion half has it already.
     ///
     /// # Errors
     /// If the record cannot be written.
-    fn note(&mut self, seen: Self::Observed) -> Result<()>;
-}
-
-impl<C: Capture> Capture for &mut C {
-    type Frame = C::Frame;
-
-    fn capture(&mut self) -> Result<Option<C::Frame>> {
-        (**self).capture()
-    }
-
-    fn expose(&mut self) -> bool {
-        (**self).expose()
-    }
-
-    fn input(frame: &C::Frame) -> FrameInput {
-        C::input(frame)
+    fn note(&mut self, _seen: O) -> Result<()> {
+        Ok(())
     }
 }
+
+impl<S, O> Record<S, O> for () {}
+
+/// The three parts of the half that processes images; each may have a thread of its own.
+pub type VisionParts<'a, C, E, R> = (&'a mut C, &'a mut E, &'a mut R);
 
 /// Duration and clock of a run of both halves.
 pub struct Course<'a> {
@@ -176,6 +125,40 @@ pub struct Course<'a> {
     pub duration: Duration,
     /// Once set, the course ends early.
     pub interrupt: &'a AtomicBool,
+}
+
+impl Course<'_> {
+    /// Steps both halves from enabling both arms until they are stopped, in the loop for the pace of the setup. The timing of each thread
+    /// is only available in real time.
+    ///
+    /// # Errors
+    /// The first permanent failure of an arm, the camera or the estimator; both arms are stopped first.
+    pub fn run<M: Mover, C: Capture, E: Estimate<M::Step>, R: Record<M::Step, E::Observed>>(
+        &self,
+        vision: VisionParts<'_, C, E, R>,
+        mover: &mut M,
+    ) -> (Result<()>, Option<Punctuality>) {
+        match self.setup.pace {
+            Pace::Live => {
+                let mut punctuality = Punctuality::default();
+                (live::drive(self, vision, mover, &mut punctuality), Some(punctuality))
+            }
+            Pace::RealTime => (lockstep::drive(self, vision, mover, true), None),
+            Pace::Fast => (self.run_in_lockstep(vision, mover), None),
+        }
+    }
+
+    /// The same in simulated time, independent of the pace of the setup: one thread steps both halves.
+    ///
+    /// # Errors
+    /// As [`Self::run`].
+    pub fn run_in_lockstep<M: Mover, C: Capture, E: Estimate<M::Step>, R: Record<M::Step, E::Observed>>(
+        &self,
+        vision: VisionParts<'_, C, E, R>,
+        mover: &mut M,
+    ) -> Result<()> {
+        lockstep::drive(self, vision, mover, false)
+    }
 }
 
 /// The first failure of several outcomes, in order of occurrence; the others are logged.
@@ -214,6 +197,19 @@ impl<'a, M: Mover> Enabled<'a, M> {
             course.clock.sleep_until(next);
         }
         Ok(enabled)
+    }
+
+    /// Sets the time of the first control step, which is now, in all parts.
+    pub fn begin<E: Estimate<M::Step>, R: Record<M::Step, E::Observed>>(
+        &mut self,
+        clock: &dyn Clock,
+        (estimator, recorder): (&mut E, &mut R),
+    ) -> MonotonicTime {
+        let begin = clock.now();
+        estimator.begin_at(begin);
+        recorder.begin_at(begin);
+        self.mover.begin_at(begin);
+        begin
     }
 
     /// The motion half.

@@ -1,18 +1,22 @@
-//! Records the control steps of a run together with the true poses.
+//! The history of a run for its report: control steps together with the true poses; estimates are added in [`crate::noting`].
 
+use anyhow::Result;
 use nalgebra::Vector6;
 use pb3dp_geometry::frames::{CamLeft, Hand, Model, Target, World};
 use pb3dp_geometry::{MonotonicTime, Pose};
-use pb3dp_kinematics::{Chain, smallest_singular_value};
+use pb3dp_kinematics::smallest_singular_value;
 use pb3dp_servo::supervisor::{Condition, Event, State, Why};
 use pb3dp_setup::setup::Setup;
+use pb3dp_sim::trajectory::Trajectory;
 
 use super::cell::SimulatedCell;
 use super::channels::Plan;
-use super::commands::CommandSummary;
-use super::log::{ArmSample, ControlSample, Lock, MethodLog, RunLog};
+use super::compared::Onlooker;
+use super::drift::DriftWatch;
+use super::log::{ArmSample, ControlSample, MethodLog, RunLog};
 use super::moving::Moved;
-use super::noting::EstimateRecords;
+use super::noting::PairRecords;
+use super::spectator::RunEnd;
 use super::strip::Strip;
 use super::supervision::TransitionNote;
 
@@ -63,48 +67,63 @@ pub struct RecordedStep {
     pub arms: [ArmSample; 2],
 }
 
-/// Records control steps.
-pub struct Journal {
-    chain: Chain,
-    begin: MonotonicTime,
+/// The history of a run for its report, from its messages: control steps with the true poses, and estimates of all methods. A run and
+/// its recording have the same.
+pub struct Journal<'a> {
+    pub(super) setup: &'a Setup,
+    pub(super) begin: MonotonicTime,
     duration_s: f64,
     next_progress_s: f64,
     steps_untrue: u64,
     is_quiet: bool,
-    log: RunLog,
+    pub(super) log: RunLog,
     plan: Plan,
-    model_from_hand_desired: Pose<Model, Hand>,
+    /// What also happens with each pair.
+    pub(super) pairs: PairRecords,
 }
 
-impl Journal {
-    /// An empty journal of an experiment with this duration that begins at `begin`.
-    pub fn new(setup: &Setup, (begin, duration_s): (MonotonicTime, f64), (log, plan): (RunLog, Plan)) -> Self {
-        Self {
-            chain: setup.rig.arms.vs.chain.clone(),
+impl<'a> Journal<'a> {
+    /// An empty journal of an experiment with this duration that begins at `begin`. `led_by`: whether a person leads the run, and whether
+    /// the operator can fall silent; otherwise nobody can give commands, and the lines of the journal name none.
+    ///
+    /// # Errors
+    /// A parameter of a compared method out of its range.
+    pub fn new(
+        setup: &'a Setup,
+        experiment: &dyn Trajectory,
+        led_by: (bool, bool),
+        (begin, duration_s): (MonotonicTime, f64),
+    ) -> Result<Self> {
+        // A person decides when the moves begin.
+        let marks = if led_by.0 { Vec::new() } else { experiment.marks().to_vec() };
+        let strip = Strip::of(setup.experiment.moments(&marks));
+        let mut log = RunLog {
+            marks,
+            without_images: !setup.leader.needs_images(),
+            without_truth: setup.world.is_none(),
+            leading: MethodLog { method: setup.leader.name().to_owned(), ..MethodLog::default() },
+            ..RunLog::default()
+        };
+        if led_by == (false, false) {
+            log.supervision.leave_out_commands();
+        }
+        Ok(Self {
             begin,
             duration_s,
             next_progress_s: PROGRESS_EVERY_S,
             steps_untrue: 0,
             is_quiet: false,
-            log: RunLog { without_images: !setup.leader.needs_images(), without_truth: setup.world.is_none(), ..log },
-            plan,
-            model_from_hand_desired: setup.controller.model_from_hand_desired,
-        }
+            log,
+            plan: Plan::of(&setup.experiment.motion, experiment),
+            pairs: PairRecords::new(setup, strip)?,
+            setup,
+        })
     }
 
     /// The same, but it logs nothing: the run is over.
     #[must_use]
     pub fn quiet(self) -> Self {
         Self { is_quiet: true, ..self }
-    }
-
-    /// The same for a run to which nobody can give commands: its lines name none.
-    #[must_use]
-    pub fn without_console(mut self, is_alone: bool) -> Self {
-        if is_alone {
-            self.log.supervision.leave_out_commands();
-        }
-        self
     }
 
     /// The line of a reason.
@@ -150,7 +169,7 @@ impl Journal {
             self.steps_untrue += 1;
             return;
         };
-        let jacobian = self.chain.jacobian(&arms[0].position_rad);
+        let jacobian = self.setup.rig.arms.vs.chain.jacobian(&arms[0].position_rad);
         self.log.control.push(ControlSample {
             t_s,
             world_from_target,
@@ -189,22 +208,28 @@ impl Journal {
         }
     }
 
-    /// The result of the run. The model pose on the target is only known after the first estimate, so the desired hand poses are filled in
-    /// now.
-    pub fn finish(mut self, looked: EstimateRecords, commands: Vec<CommandSummary>) -> Outcome {
-        let EstimateRecords { leading, compared, pairs_lost, strip, lock, drift } = looked;
-        let until_s = self.log.marks.first().map_or(f64::INFINITY, |mark| mark.at_s);
-        let lock = lock.map(|lock| Lock {
-            target_from_model_found: mean_place(&leading, until_s).unwrap_or(lock.target_from_model_found),
-            ..lock
-        });
-        let places = lock.map(|lock| (lock.target_from_model, lock.target_from_model_found));
-        let (wanted, locked) = places.unwrap_or_else(|| (Pose::coincident(), Pose::coincident()));
-        for sample in &mut self.log.control {
-            sample.world_from_hand_wanted = sample.world_from_target * wanted * self.model_from_hand_desired;
-            sample.world_from_hand_locked = sample.world_from_target * locked * self.model_from_hand_desired;
+    /// The result of the run, with what is known at its end. The model pose on the target is only known after the first estimate, so the
+    /// desired hand poses are filled in now.
+    pub fn finish(self, end: RunEnd) -> Outcome {
+        let PairRecords { onlookers, strip, drift, .. } = self.pairs;
+        let mut log = RunLog {
+            compared: onlookers.into_iter().map(Onlooker::into_log).collect(),
+            drift: drift.map(DriftWatch::summaries).unwrap_or_default(),
+            pairs_lost: end.pairs_lost,
+            commands: end.commands,
+            ..self.log
+        };
+        let until_s = log.marks.first().map_or(f64::INFINITY, |mark| mark.at_s);
+        if let Some(lock) = &mut log.lock {
+            lock.target_from_model_found = mean_place(&log.leading, until_s).unwrap_or(lock.target_from_model_found);
         }
-        let log = RunLog { leading, compared, pairs_lost, drift, lock, commands, ..self.log };
+        let places = log.lock.map(|lock| (lock.target_from_model, lock.target_from_model_found));
+        let (wanted, locked) = places.unwrap_or_else(|| (Pose::coincident(), Pose::coincident()));
+        let model_from_hand_desired = self.setup.controller.model_from_hand_desired;
+        for sample in &mut log.control {
+            sample.world_from_hand_wanted = sample.world_from_target * wanted * model_from_hand_desired;
+            sample.world_from_hand_locked = sample.world_from_target * locked * model_from_hand_desired;
+        }
         Outcome { log, plan: self.plan, strip }
     }
 }

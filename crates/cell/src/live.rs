@@ -15,8 +15,9 @@ use pb3dp_hal_api::Clock;
 use pb3dp_hal_platform::realtime::{Realtime, enter};
 use rtrb::{Consumer, Producer, RingBuffer};
 
+use super::capturing::Captured;
 use super::cycles::{Beat, Punctuality};
-use super::halves::{Capture, Course, Enabled, Estimate, Mover, Parted, Record, first_failure};
+use super::halves::{Capture, Course, Enabled, Estimate, Mover, Record, VisionParts, first_failure};
 use super::handover::{LatestConsumer, LatestProducer, Newest, latest};
 use super::percept::Percept;
 
@@ -34,18 +35,15 @@ pub const CONTROL_THREAD: Realtime = Realtime { priority: Some(40), locks_memory
 ///
 /// # Errors
 /// The first permanent failure of an arm, the camera, the estimator or the recording.
-pub(super) fn drive<M: Mover, W: Parted<Step = M::Step>>(
+pub(super) fn drive<M: Mover, C: Capture, E: Estimate<M::Step>, R: Record<M::Step, E::Observed>>(
     course: &Course<'_>,
-    watcher: &mut W,
+    (camera, estimator, recorder): VisionParts<'_, C, E, R>,
     mover: &mut M,
     punctuality: &mut Punctuality,
 ) -> Result<()> {
     let mut enabled = Enabled::new(course, mover)?;
-    let begin = course.clock.now();
-    watcher.begin_at(begin);
-    enabled.mover().begin_at(begin);
+    let begin = enabled.begin(&**course.clock, (estimator, recorder));
     let Punctuality { capture, estimation, control, recording } = punctuality;
-    let (camera, estimator, recorder) = watcher.parts();
     // An interruption sets the same flag as the end of the course.
     let (clock, is_over) = (&**course.clock, course.interrupt);
     let frames = Newest::default();
@@ -112,23 +110,23 @@ impl Drop for Over<'_> {
 }
 
 /// The capture thread: of unread frames only the newest one is kept.
-struct Capturing<'a, C: Capture> {
-    camera: C,
+struct Capturing<'a, C> {
+    camera: &'a mut C,
     exposure: Duration,
     /// Each frame with its arrival time.
-    frames: &'a Newest<(MonotonicTime, C::Frame)>,
+    frames: &'a Newest<(MonotonicTime, Captured)>,
     clock: &'a dyn Clock,
     is_over: &'a AtomicBool,
     beat: &'a mut Beat,
 }
 
 impl<C: Capture> Capturing<'_, C> {
-    fn run(mut self) -> Result<()> {
+    fn run(self) -> Result<()> {
         let _over = Over(self.is_over);
         let mut before = None;
         while !self.is_over.load(Ordering::SeqCst) {
             let Some(frame) = self.camera.capture()? else { continue };
-            let (now, input) = (self.clock.now(), C::input(&frame));
+            let (now, input) = (self.clock.now(), frame.frame);
             self.beat.lateness.record(now.saturating_since(input.at + self.exposure / 2));
             // A gap in the sequence numbers counts the frames that did not arrive.
             let since = before.replace(input.sequence).and_then(|before: u64| input.sequence.checked_sub(before));
@@ -140,10 +138,10 @@ impl<C: Capture> Capturing<'_, C> {
 }
 
 /// The estimation thread; it uses the newest frame.
-struct Estimating<'a, E: Estimate> {
-    estimator: E,
-    frames: &'a Newest<(MonotonicTime, E::Frame)>,
-    steps: Consumer<E::Step>,
+struct Estimating<'a, E: Estimate<S>, S> {
+    estimator: &'a mut E,
+    frames: &'a Newest<(MonotonicTime, Captured)>,
+    steps: Consumer<S>,
     percepts: LatestProducer<Percept>,
     seen: SyncSender<(MonotonicTime, E::Observed)>,
     clock: &'a dyn Clock,
@@ -151,7 +149,7 @@ struct Estimating<'a, E: Estimate> {
     beat: &'a mut Beat,
 }
 
-impl<E: Estimate> Estimating<'_, E> {
+impl<E: Estimate<S>, S> Estimating<'_, E, S> {
     fn run(mut self) -> Result<()> {
         let _over = Over(self.is_over);
         while !self.is_over.load(Ordering::SeqCst) {
@@ -163,7 +161,7 @@ impl<E: Estimate> Estimating<'_, E> {
             self.estimator.take_selection();
             let (percept, seen) = self.estimator.look(frame)?;
             // A percept contains all current information: an overwritten one loses only an observation.
-            self.beat.dropped += u64::from(self.percepts.give(percept));
+            self.beat.dropped += u64::from(percept.is_some_and(|percept| self.percepts.give(percept)));
             let now = self.clock.now();
             self.beat.lateness.record(now.saturating_since(captured_at));
             self.beat.dropped += u64::from(self.seen.try_send((now, seen)).is_err());
@@ -173,16 +171,16 @@ impl<E: Estimate> Estimating<'_, E> {
 }
 
 /// The recording thread; no other thread waits for it.
-struct Recording<'a, R: Record> {
-    recorder: R,
-    steps: Consumer<R::Step>,
-    seen: Receiver<(MonotonicTime, R::Observed)>,
+struct Recording<'a, R, S, O> {
+    recorder: &'a mut R,
+    steps: Consumer<S>,
+    seen: Receiver<(MonotonicTime, O)>,
     clock: &'a dyn Clock,
     is_over: &'a AtomicBool,
     beat: &'a mut Beat,
 }
 
-impl<R: Record> Recording<'_, R> {
+impl<R: Record<S, O>, S, O> Recording<'_, R, S, O> {
     fn run(&mut self) -> Result<()> {
         let _over = Over(self.is_over);
         while !self.is_over.load(Ordering::SeqCst) {
@@ -211,7 +209,7 @@ impl<R: Record> Recording<'_, R> {
         }
     }
 
-    fn note(&mut self, (seen_at, seen): (MonotonicTime, R::Observed)) -> Result<()> {
+    fn note(&mut self, (seen_at, seen): (MonotonicTime, O)) -> Result<()> {
         self.recorder.note(seen)?;
         self.beat.lateness.record(self.clock.now().saturating_since(seen_at));
         Ok(())

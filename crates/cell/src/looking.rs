@@ -1,6 +1,5 @@
-//! The vision half of a run: stereo pairs in, observations for the controller out, with the image records.
+//! The vision half of a run: stereo pairs in, observations for the controller out.
 
-use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -21,80 +20,38 @@ use super::both_arms::in_words;
 use super::camera_controls::ControlDesk;
 use super::capturing::{Captured, Capturing};
 use super::cell::{JOINT_GAP_MAX_S, SimulatedCell};
-use super::halves::Capture;
-use super::noting::{EstimateRecorder, EstimateRecords};
+use super::halves::{CameraArmStep, Estimate};
+use super::percept::Percept;
 use super::perception::{Marking, Perception, Sight};
 use super::selection::{Choice, Selection, Selections};
-use super::strip::Strip;
 use crate::noting::PairEstimate;
 use crate::perception::View;
 use crate::true_surface::TrueSurface;
 
-/// Camera, estimation and records: each of the three parts may have its own thread.
+/// Camera and estimation: each of the two parts may have its own thread.
 pub struct Looking<'a> {
     /// The camera.
     pub capturing: Capturing,
     /// The method that leads the hand.
     pub estimating: Estimating<'a>,
-    /// Image records.
-    pub noting: EstimateRecorder<'a>,
 }
 
 impl<'a> Looking<'a> {
-    /// A camera whose pairs are not processed yet. If `record` is given, every pair is also written to that folder.
+    /// A camera whose pairs are not processed yet.
     ///
     /// # Errors
-    /// As [`Perception::new`] and [`EstimateRecorder::new`].
+    /// As [`Perception::new`].
     pub fn new(
         setup: &'a Setup,
         (camera, cell, marking): (Sight, SimulatedCell, Marking),
-        (strip, clock): (Strip, &Arc<dyn Clock>),
-        record: Option<&Path>,
+        clock: &Arc<dyn Clock>,
     ) -> Result<Self> {
-        let cameras = Perception::new(setup, &camera, marking.clone())?;
+        let cameras = Perception::new(setup, &camera, marking)?;
         let surface = cell.scene.as_deref().map(|scene| TrueSurface::new(scene.clone()));
         Ok(Self {
             estimating: Estimating { surface, ..Estimating::new(setup, Arc::clone(clock), cameras) },
-            noting: EstimateRecorder::new(setup, marking, (strip, clock.now()), record)?,
             capturing: Capturing::new(setup, camera, cell),
         })
-    }
-
-    /// The same with targets that an operator selects meanwhile.
-    pub fn with_selections(mut self, selections: Option<Selections>) -> Self {
-        self.estimating = self.estimating.with_selections(selections);
-        self
-    }
-
-    /// The same with the controls of real cameras.
-    #[must_use]
-    pub fn with_controls(mut self, controls: Option<ControlDesk>) -> Self {
-        self.estimating.controls = controls;
-        self
-    }
-
-    /// Sets the start time of the experiment.
-    pub fn begin_at(&mut self, begin: MonotonicTime) {
-        self.noting.begin_at(begin);
-    }
-
-    /// Adds a joint measurement of the arm that carries the cameras.
-    pub fn push_joints(&mut self, sample: JointState) {
-        self.estimating.push_joints(sample);
-    }
-
-    /// Waits for the next pair and estimates the target pose; `None` if no pair arrived.
-    ///
-    /// # Errors
-    /// If the camera or the leading method fails permanently.
-    pub fn look(&mut self) -> Result<Option<PairEstimate>> {
-        self.estimating.take_selection();
-        self.capturing.capture()?.map(|captured| self.estimating.look(captured)).transpose()
-    }
-
-    /// Everything recorded.
-    pub fn finish(self) -> EstimateRecords {
-        self.noting.finish(self.capturing.pairs_lost())
     }
 }
 
@@ -150,6 +107,12 @@ impl<'a> Estimating<'a> {
     #[must_use]
     pub fn with_selections(self, selections: Option<Selections>) -> Self {
         Self { selections, ..self }
+    }
+
+    /// The same with the controls of real cameras.
+    #[must_use]
+    pub fn with_controls(self, controls: Option<ControlDesk>) -> Self {
+        Self { controls, ..self }
     }
 
     /// Sets how many targets were marked before, in pairs that this estimation has not processed.
@@ -316,8 +279,27 @@ impl<'a> Estimating<'a> {
     }
 }
 
+impl<S: CameraArmStep> Estimate<S> for Estimating<'_> {
+    type Observed = PairEstimate;
+
+    fn moved(&mut self, step: &S) {
+        self.push_joints(*step.camera_arm_joints());
+    }
+
+    fn take_selection(&mut self) {
+        Estimating::take_selection(self);
+    }
+
+    fn look(&mut self, frame: Captured) -> Result<(Option<Percept>, PairEstimate)> {
+        let seen = Estimating::look(self, frame)?;
+        Ok((Some(seen.percept()), seen))
+    }
+}
+
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use image::{Rgb, RgbImage};
     use pb3dp_estimation::estimator::{Method, Tracker};
     use pb3dp_estimation_core::method::KnownModel;

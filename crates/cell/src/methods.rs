@@ -41,12 +41,16 @@ pub struct MethodSummary {
 }
 
 /// All methods of a run, the leading one first.
-pub fn summaries(log: &RunLog) -> Vec<MethodSummary> {
-    let leading = MethodSummary { leads: true, ..MethodSummary::of(&log.leading) };
+pub fn summaries(log: &RunLog, leading: MethodSummary) -> Vec<MethodSummary> {
     std::iter::once(leading).chain(log.compared.iter().map(MethodSummary::of)).collect()
 }
 
 impl MethodSummary {
+    /// The method that leads the hand.
+    pub fn leading(log: &RunLog) -> Self {
+        Self { leads: true, ..Self::of(&log.leading) }
+    }
+
     fn of(log: &MethodLog) -> Self {
         let column =
             |pick: fn(&FrameSample) -> Option<f64>| -> Vec<f64> { log.frames.iter().filter_map(pick).collect() };
@@ -176,7 +180,7 @@ mod tests {
     #[test]
     fn the_figures_are_those_that_were_put_in() {
         let run = RunLog { leading: log(), compared: vec![log()], ..RunLog::default() };
-        let methods = summaries(&run);
+        let methods = summaries(&run, MethodSummary::leading(&run));
         assert!(methods[0].leads && !methods[1].leads);
         let method = &methods[1];
         assert!((method.depth_mm.unwrap().median - 3.0).abs() < 1e-9);

@@ -19,7 +19,7 @@ use super::aim::Aim;
 use super::both_arms::{BothArms, LedArm, in_words};
 use super::carrier::{carry, off_by};
 use super::devices::DrivenArm;
-use super::halves::Mover;
+use super::halves::{CameraArmStep, Mover};
 use super::operator::{ByCommand, MotionRequest, Operator};
 use super::percept::Percept;
 use super::permitting::Permitting;
@@ -378,6 +378,12 @@ impl<'a> Moving<'a> {
             self.controller.note_told(done);
         }
         Ok(())
+    }
+}
+
+impl CameraArmStep for Moved {
+    fn camera_arm_joints(&self) -> &JointState {
+        &self.vs_joints
     }
 }
 

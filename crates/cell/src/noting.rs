@@ -1,4 +1,4 @@
-//! Image records: estimates of all methods with the true poses, recordings and annotated images.
+//! Estimates of pairs in the history of a run: those of all methods with the true poses, recordings and annotated images.
 
 use std::path::Path;
 
@@ -8,15 +8,16 @@ use pb3dp_estimation::estimator::FramePrior;
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::region::Region;
+use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Model, Target};
-use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_servo::TargetObservation;
 use pb3dp_setup::setup::{Setup, Synchronisation};
 
 use super::capturing::Captured;
 use super::compared::{Frame, Onlooker};
-use super::drift::{DriftSummary, DriftWatch, WhenCalibrated};
-use super::log::{Lock, MethodLog};
+use super::drift::{DriftWatch, WhenCalibrated};
+use super::journal::Journal;
+use super::log::Lock;
 use super::percept::Percept;
 use super::perception::Marking;
 use super::recording::Recording;
@@ -25,85 +26,57 @@ use super::strip::Strip;
 use crate::perception::View;
 use crate::true_surface::true_model_frame;
 
-/// Image records; includes the compared methods.
-pub struct EstimateRecorder<'a> {
-    setup: &'a Setup,
-    begin: MonotonicTime,
-    marking: Marking,
-    /// Pose of the model frame on the target, after the first estimate.
-    lock: Option<Lock>,
-    leading: MethodLog,
-    onlookers: Vec<Onlooker>,
-    strip: Strip,
-    recording: Option<Recording>,
-    drift: Option<DriftWatch>,
-}
-
-/// Finished image records.
-pub struct EstimateRecords {
-    /// Estimates of the method that leads the hand.
-    pub leading: MethodLog,
-    /// Estimates of the compared methods.
-    pub compared: Vec<MethodLog>,
-    /// Pairs that the camera could not deliver.
-    pub pairs_lost: u64,
+/// What happens with each pair besides the record of the leading method.
+pub(super) struct PairRecords {
+    pub onlookers: Vec<Onlooker>,
     /// Annotated images from moments of interest.
     pub strip: Strip,
-    /// Pose of the model frame on the target; none without an estimate.
-    pub lock: Option<Lock>,
-    /// Camera drift since calibration, if it was measured.
-    pub drift: Vec<DriftSummary>,
+    /// The folder to which pairs are recorded, and how the target is marked.
+    recording: Option<(Recording, Marking)>,
+    /// Camera drift since calibration, if it is measured.
+    pub drift: Option<DriftWatch>,
 }
 
-impl<'a> EstimateRecorder<'a> {
-    /// Empty records. If `record` is given, every pair is also written to that folder.
+impl PairRecords {
+    /// Nothing is recorded yet.
+    pub fn new(setup: &Setup, strip: Strip) -> Result<Self> {
+        let records = Self { onlookers: Vec::new(), strip: Strip::default(), recording: None, drift: None };
+        if !setup.leader.needs_images() {
+            return Ok(records);
+        }
+        Ok(Self { onlookers: Onlooker::all_of(setup)?, strip, drift: watch(setup)?, ..records })
+    }
+}
+
+impl Journal<'_> {
+    /// The same, and every pair is also written to that folder; `marking`: how the target is marked.
     ///
     /// # Errors
-    /// A parameter of a compared method out of its range, or `record` without images.
-    pub fn new(
-        setup: &'a Setup,
-        marking: Marking,
-        (strip, begin): (Strip, MonotonicTime),
-        record: Option<&Path>,
-    ) -> Result<Self> {
-        let has_images = setup.leader.needs_images();
-        if record.is_some() && !has_images {
-            bail!("--record: with estimator.method = {:?} there are no images to record", setup.leader.name());
+    /// A run without images.
+    pub fn record_to(mut self, folder: &Path, marking: Marking) -> Result<Self> {
+        if !self.setup.leader.needs_images() {
+            bail!("--record: with estimator.method = {:?} there are no images to record", self.setup.leader.name());
         }
-        Ok(Self {
-            onlookers: if has_images { Onlooker::all_of(setup)? } else { Vec::new() },
-            strip: if has_images { strip } else { Strip::default() },
-            drift: if has_images { watch(setup)? } else { None },
-            recording: record.map(|folder| Recording::new(folder, setup)),
-            begin,
-            marking,
-            lock: None,
-            leading: MethodLog { method: setup.leader.name().to_owned(), ..MethodLog::default() },
-            setup,
-        })
-    }
-
-    /// Sets the start time of the experiment.
-    pub fn begin_at(&mut self, begin: MonotonicTime) {
-        self.begin = begin;
+        self.pairs.recording = Some((Recording::new(folder, self.setup), marking));
+        Ok(self)
     }
 
     /// Records the estimate of a pair with its true pose; the compared methods process the pair, too.
     ///
     /// # Errors
     /// If the recording cannot be written.
-    pub fn note(&mut self, seen: &PairEstimate) -> Result<()> {
+    pub fn note_pair(&mut self, seen: &PairEstimate) -> Result<()> {
         let PairEstimate { captured, region, prior, estimate, latency_millis, age_millis, .. } = seen;
         let Captured { frame, cam_left_from_target, view } = captured;
         let cam_left_from_plane = seen.cam_left_from_plane();
         let t_s = frame.at.seconds_since(self.begin);
         if region.is_some() {
-            self.lock = None;
+            self.log.lock = None;
         }
         if let (None, Some(found), Some(cam_left_from_target), Some(plane)) =
-            (&self.lock, &estimate.cam_left_from_model, cam_left_from_target, &cam_left_from_plane)
+            (&self.log.lock, &estimate.cam_left_from_model, cam_left_from_target, &cam_left_from_plane)
         {
-            self.lock = true_model_frame(found, plane).map(|cam_left_from_model| Lock {
+            self.log.lock = true_model_frame(found, plane).map(|cam_left_from_model| Lock {
                 at_s: t_s,
                 target_from_model: cam_left_from_target.inverse() * cam_left_from_model,
                 target_from_model_found: cam_left_from_target.inverse() * *found,
@@ -113,19 +86,20 @@ impl<'a> EstimateRecorder<'a> {
         let age_millis = Some(*age_millis);
         let (region, cam_left_from_target) = (region.as_ref(), *cam_left_from_target);
         let frame = Frame { t_s, region, prior, cam_left_from_target, cam_left_from_plane, age_millis };
-        self.leading.push(&frame, estimate, *latency_millis);
+        self.log.leading.push(&frame, estimate, *latency_millis);
         let frame = Frame { age_millis: None, ..frame };
         let View::Images(pair) = view else { return Ok(()) };
-        self.strip.offer(t_s, pair, &self.setup.rig.stereo, estimate);
-        for onlooker in &mut self.onlookers {
+        let PairRecords { onlookers, strip, recording, drift } = &mut self.pairs;
+        strip.offer(t_s, pair, &self.setup.rig.stereo, estimate);
+        for onlooker in onlookers {
             onlooker.look(pair, &frame);
         }
-        let drifted = self.drift.as_mut().map(|drift| drift.look(captured.frame.at, captured.frame.skew_s, pair));
+        let drifted = drift.as_mut().map(|drift| drift.look(captured.frame.at, captured.frame.skew_s, pair));
         for line in drifted.into_iter().flatten() {
             tracing::warn!("{line}");
         }
-        let Some(recording) = &mut self.recording else { return Ok(()) };
-        let outline_px = match (recording.is_open(), &self.marking, region) {
+        let Some((recording, marking)) = recording else { return Ok(()) };
+        let outline_px = match (recording.is_open(), &*marking, region) {
             (true, ..) => None,
             // The recording begins with the first target.
             (false, Marking::Awaited, None) => return Ok(()),
@@ -142,14 +116,7 @@ impl<'a> EstimateRecorder<'a> {
     /// # Errors
     /// If it cannot be written.
     pub fn finish_recording(&mut self) -> Result<()> {
-        self.recording.take().map_or(Ok(()), Recording::finish)
-    }
-
-    /// Returns the records, with the pairs that the camera could not deliver.
-    pub fn finish(self, pairs_lost: u64) -> EstimateRecords {
-        let compared = self.onlookers.into_iter().map(Onlooker::into_log).collect();
-        let drift = self.drift.map(DriftWatch::summaries).unwrap_or_default();
-        EstimateRecords { leading: self.leading, compared, pairs_lost, strip: self.strip, lock: self.lock, drift }
+        self.pairs.recording.take().map_or(Ok(()), |(recording, _)| recording.finish())
     }
 }
 

@@ -19,7 +19,7 @@ use super::flight::KeepFlights;
 use super::operator::Operator;
 use super::perception::{Marking, Sight};
 use super::selection::Selections;
-use super::spectator::{RunRecorder, Spectator};
+use super::spectator::Spectator;
 
 /// An emulated arm at the other end of a link.
 pub trait EmulatedArm: Send {
@@ -133,10 +133,8 @@ pub struct Parts {
     pub operator: Box<dyn Operator>,
     /// The simulated target, if a person pushes it.
     pub pushed: Option<PushedTarget>,
-    /// Who looks on, if anybody does.
-    pub spectator: Option<Box<dyn Spectator>>,
-    /// Who records the run in one file, if anybody does.
-    pub recorder: Option<Box<dyn RunRecorder>>,
+    /// Who looks on or records the run in one file.
+    pub spectators: Vec<Box<dyn Spectator>>,
     /// Targets that the operator selects during the run.
     pub selections: Option<Selections>,
     /// Once set, the run ends early; both arms are stopped as at its regular end.

@@ -21,7 +21,7 @@ use crate::moving::Moved;
 use crate::noting::PairEstimate;
 use crate::operator::{ByCommand, MotionRequest, Operator};
 use crate::parts::Parts;
-use crate::spectator::{RunEnd, RunRecorder};
+use crate::spectator::Spectator;
 
 /// A finished control step.
 pub struct SteppedStep {
@@ -64,7 +64,7 @@ impl SteppedRun {
         let interrupt = Arc::clone(&parts.interrupt);
         let stepper = Stepper { tell, waits, interrupt, begin: MonotonicTime::ZERO, seen: Vec::new() };
         let operator = Box::new(ByCaller(Arc::clone(&wishes)));
-        let parts = Parts { operator, recorder: Some(Box::new(stepper)), ..parts };
+        let parts = Parts { operator, spectators: vec![Box::new(stepper)], ..parts };
         let thread = std::thread::Builder::new()
             .name("stepped run".to_owned())
             .spawn(move || conduct(&setup, parts, stop_after_s, None))?;
@@ -159,7 +159,7 @@ struct Stepper {
     seen: Vec<PairEstimate>,
 }
 
-impl RunRecorder for Stepper {
+impl Spectator for Stepper {
     fn begin_at(&mut self, begin: MonotonicTime) {
         self.begin = begin;
     }
@@ -174,12 +174,6 @@ impl RunRecorder for Stepper {
 
     fn seen(&mut self, seen: &PairEstimate) {
         self.seen.push(seen.clone());
-    }
-
-    fn fault(&mut self, _number: usize) {}
-
-    fn finish(self: Box<Self>, _end: &RunEnd) -> Result<()> {
-        Ok(())
     }
 }
 

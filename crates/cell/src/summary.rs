@@ -125,9 +125,7 @@ pub fn summarize(log: &RunLog, plan: &Plan) -> RunSummary {
     let column = |pick: fn(&TrackingError) -> f64| errors.iter().map(pick).collect::<Vec<f64>>();
     let (channels, locked) = channels::summaries(log, plan);
     let lags: Vec<f64> = channels.iter().filter_map(|c| c.lag_s).collect();
-    let latencies: Vec<f64> = log.leading.frames.iter().map(|f| f.latency_millis).collect();
-    let depth: Vec<f64> = log.leading.frames.iter().filter_map(|f| f.depth_error_m).map(|e| e.abs() * 1e3).collect();
-    let normal: Vec<f64> = log.leading.frames.iter().filter_map(|f| f.normal_error_rad).map(f64::to_degrees).collect();
+    let leading = MethodSummary::leading(log);
     RunSummary {
         ended_by: None,
         duration_s: log.control.last().map_or(0.0, |sample| sample.t_s),
@@ -138,22 +136,19 @@ pub fn summarize(log: &RunLog, plan: &Plan) -> RunSummary {
         lock: log.lock.as_ref().zip(log.control.last()).map(|(lock, sample)| LockSummary::of(lock, sample)),
         lag_s: percentile(&lags, 50.0),
         channels,
-        estimation_depth_mm: MedianP95::of(&depth),
-        estimation_normal_deg: MedianP95::of(&normal),
+        estimation_depth_mm: leading.depth_mm,
+        estimation_normal_deg: leading.normal_deg,
         without_truth: log.without_truth,
         without_images: log.without_images,
-        methods: methods::summaries(log),
         frames: log.leading.frames.len(),
         frames_without_pose: log.leading.estimated.iter().filter(|pose| pose.is_none()).count(),
-        frames_by_status: log.leading.frames.iter().fold(BTreeMap::new(), |mut counts, frame| {
-            *counts.entry(frame.status.clone()).or_default() += 1;
-            counts
-        }),
-        rotation_about_normal_observed: log.leading.rotation_about_normal_observed,
+        frames_by_status: leading.frames_by_status.clone(),
+        rotation_about_normal_observed: leading.rotation_about_normal_observed,
         pairs_lost: log.pairs_lost,
         drift: log.drift.clone(),
-        latency_p50_millis: percentile(&latencies, 50.0),
-        latency_p99_millis: percentile(&latencies, 99.0),
+        latency_p50_millis: leading.latency_p50_millis,
+        latency_p99_millis: leading.latency_p99_millis,
+        methods: methods::summaries(log, leading),
         supervisor: log.supervision.summary(),
         share_by_mode: shares(log.control.iter().map(ControlSample::mode_word)),
         smallest_singular_value: log.control.iter().map(|s| s.smallest_singular_value).reduce(f64::min),

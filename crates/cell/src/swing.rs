@@ -15,12 +15,10 @@ use pb3dp_servo::identification::{Excitation, GivenVelocity};
 use pb3dp_setup::setup::Setup;
 
 use super::both_arms::BothArms;
-use super::capturing::Captured;
-use super::halves::{Capture, Course, Estimate, Mover, Parted, Record};
-use super::looking::{Estimating, Looking};
+use super::halves::{Course, Mover};
+use super::looking::Looking;
 use super::parts::Parts;
 use super::percept::Percept;
-use super::strip::Strip;
 
 /// Time before the motion: the target is initialised and the arm comes to a stop.
 const LEAD_IN: Duration = Duration::from_secs(1);
@@ -63,70 +61,18 @@ pub fn duration(motion: &Excitation) -> Duration {
 pub fn run(setup: &Setup, parts: Parts, motion: Excitation) -> Result<Swung> {
     let Parts { clock, camera, camera_controls, vs, tc, cell, marking, emulated, interrupt, .. } = parts;
     let sight = (camera, cell, marking);
-    let looking = Looking::new(setup, sight, (Strip::default(), &clock), None)?.with_controls(camera_controls);
-    let mut looking = OnlyLooking(looking);
+    let Looking { mut capturing, estimating } = Looking::new(setup, sight, &clock)?;
+    let mut estimating = estimating.with_controls(camera_controls);
     let arms = BothArms::new(setup, (vs, tc), clock.now());
     let mut swinging = Swinging::new(setup, arms, motion)?;
     let course = Course { setup, clock: &clock, duration: duration(&motion), interrupt: &interrupt };
-    let (ended, _) = course.run(&mut looking, &mut swinging);
+    // The motion half keeps the estimates.
+    let (ended, _) = course.run((&mut capturing, &mut estimating, &mut ()), &mut swinging);
     // The arms are dropped before the emulators at the other end of their links.
     let Swinging { arms, record, .. } = swinging;
     drop(arms);
     drop(emulated);
     ended.map(|()| record)
-}
-
-/// The vision half without records: the motion half keeps the estimates.
-struct OnlyLooking<'a>(Looking<'a>);
-
-impl Parted for OnlyLooking<'_> {
-    type Step = JointState;
-    type Frame = Captured;
-    type Observed = ();
-
-    fn begin_at(&mut self, begin: MonotonicTime) {
-        self.0.begin_at(begin);
-    }
-
-    fn parts(
-        &mut self,
-    ) -> (
-        impl Capture<Frame = Captured>,
-        impl Estimate<Frame = Captured, Observed = (), Step = JointState>,
-        impl Record<Observed = (), Step = JointState>,
-    ) {
-        (&mut self.0.capturing, Leading(&mut self.0.estimating), NothingKept)
-    }
-}
-
-/// The method, without records.
-struct Leading<'w, 'a>(&'w mut Estimating<'a>);
-
-impl Estimate for Leading<'_, '_> {
-    type Frame = Captured;
-    type Observed = ();
-    type Step = JointState;
-
-    fn moved(&mut self, step: &JointState) {
-        self.0.push_joints(*step);
-    }
-
-    fn look(&mut self, frame: Captured) -> Result<(Percept, ())> {
-        Ok((self.0.look(frame)?.percept(), ()))
-    }
-}
-
-struct NothingKept;
-
-impl Record for NothingKept {
-    type Observed = ();
-    type Step = JointState;
-
-    fn moved(&mut self, _step: &JointState) {}
-
-    fn note(&mut self, _seen: ()) -> Result<()> {
-        Ok(())
-    }
 }
 
 /// The motion half with the predefined motion.

@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use pb3dp_cell::handover::LatestProducer;
+use pb3dp_cell::journal::TruePoses;
 use pb3dp_cell::moving::Moved;
 use pb3dp_cell::noting::PairEstimate;
 use pb3dp_cell::perception::View;
@@ -74,7 +75,7 @@ impl PanelSpectator {
 }
 
 impl Spectator for PanelSpectator {
-    fn moved(&mut self, step: &Moved) {
+    fn moved(&mut self, step: &Moved, _poses: Option<TruePoses>) {
         self.steps.give(*step);
     }
 

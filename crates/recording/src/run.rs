@@ -20,7 +20,7 @@ use pb3dp_cell::noting::{PairEstimate, outline_px};
 use pb3dp_cell::parts::Parts;
 use pb3dp_cell::perception::View;
 use pb3dp_cell::selection::{Choice, Selections};
-use pb3dp_cell::spectator::{RunEnd, RunRecorder};
+use pb3dp_cell::spectator::{RunEnd, Spectator};
 use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::frames::{CamLeft, Flange, Frame};
 use pb3dp_geometry::{MonotonicTime, Pose};
@@ -88,7 +88,9 @@ pub fn record_run(about: &About, setup: &Setup, parts: Parts, to: RecordTo) -> R
     };
     let heard = Heard { vs: parts.vs, tc: parts.tc, operator: parts.operator };
     let (recorder, Heard { vs, tc, operator }) = recorder(about, setup, (begin, heard), to)?;
-    Ok(Parts { vs, tc, operator, recorder: Some(recorder), ..parts })
+    let mut spectators = parts.spectators;
+    spectators.push(recorder);
+    Ok(Parts { vs, tc, operator, spectators, ..parts })
 }
 
 /// A recording of a run that begins like this, and its parts for the run.
@@ -100,7 +102,7 @@ pub(crate) fn recorder(
     setup: &Setup,
     (begin, heard): (RunBegin, Heard),
     to: RecordTo,
-) -> Result<(Box<dyn RunRecorder>, Heard)> {
+) -> Result<(Box<dyn Spectator>, Heard)> {
     let (heard, events) = tap(heard);
     let recording = RunRecording::new(about, setup, (begin, Steps::new(events)), to)?;
     Ok((Box::new(recording), heard))
@@ -234,7 +236,7 @@ impl RunRecording {
     }
 }
 
-impl RunRecorder for RunRecording {
+impl Spectator for RunRecording {
     fn begin_at(&mut self, begin: MonotonicTime) {
         self.begin.begin_nanos = begin.as_nanos();
         // Before all others also for programs that sort by the time of writing.

@@ -1,8 +1,8 @@
 //! Stereo camera backend that replays recorded pairs.
 //!
 //! [`Recording::open`] opens sequence folders, cases (one pair), MCAP files, EuRoC folders and plain folders of images, which
-//! `docs/recordings.md` describes; [`ReplayCamera`] plays them. It plays at maximum speed, in the original timing on an injected clock, or step
-//! by step; once or endlessly. A pair with an image that is missing, damaged or of another size gives one error of kind `BadPair`
+//! `docs/recordings.md` describes; [`ReplayCamera`] plays them. It plays at maximum speed, or in the original timing on an
+//! injected clock; once or endlessly. A pair with an image that is missing, damaged or of another size gives one error of kind `BadPair`
 //! that names the file; the next call continues after it.
 //!
 //! Images are delivered as they were recorded, not undistorted or rectified.
@@ -18,7 +18,7 @@ use pb3dp_geometry::{MonotonicTime, StereoRig};
 use pb3dp_hal_api::{CameraError, CameraErrorKind, FramePair, StereoCamera, StereoCameraInfo};
 use pb3dp_record::calibration_files::StereoCalibration;
 
-pub use pacing::{Pacing, Stepper};
+pub use pacing::Pacing;
 pub use pb3dp_camera_recordings::{
     CalibrationOptions, PairsPerSecond, RecordedPairs, RecordingOptions, SkewMillis, TimedRecordingOptions, Topics,
     calibration_of,
@@ -139,23 +139,18 @@ impl ReplayCamera {
         let since_start = self.pairs.since_start(self.position);
         match &self.pacing {
             Pacing::Unpaced => Ok(self.pairs.first_at() + since_start),
-            Pacing::Stepped(stepper) => match stepper.take(timeout) {
-                true => Ok(self.pairs.first_at() + since_start),
-                false => Err(self.timed_out(timeout)),
-            },
             Pacing::Original(clock) | Pacing::Live(clock) => {
                 let now = clock.now();
                 let due = *self.started_at.get_or_insert(now) + since_start;
                 let deadline = now + timeout;
                 clock.sleep_until(due.min(deadline));
-                if due <= deadline { Ok(due) } else { Err(self.timed_out(timeout)) }
+                if due <= deadline {
+                    return Ok(due);
+                }
+                let message = format!("{}: pair {} is not due within {timeout:?}", self.info.name, self.position);
+                Err(CameraError::new(CameraErrorKind::Timeout, message))
             }
         }
-    }
-
-    fn timed_out(&self, timeout: Duration) -> CameraError {
-        let message = format!("{}: pair {} is not due within {timeout:?}", self.info.name, self.position);
-        CameraError::new(CameraErrorKind::Timeout, message)
     }
 
     /// Loads the images of the pair at the present position.

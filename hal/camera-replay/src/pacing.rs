@@ -1,8 +1,7 @@
 //! Delivery timing of a replay.
 
 use std::fmt;
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
-use std::time::Duration;
+use std::sync::Arc;
 
 use pb3dp_hal_api::Clock;
 
@@ -18,9 +17,6 @@ pub enum Pacing {
     /// As `Original`, but like a real camera: of the pairs that are due, a caller that is too slow gets the newest, and the sequence
     /// numbers skip the others.
     Live(Arc<dyn Clock>),
-    /// One pair for each step released through a clone of this stepper; `exposed_at` is the time of the recording. A call without
-    /// a step waits in real time until its timeout.
-    Stepped(Stepper),
 }
 
 impl fmt::Debug for Pacing {
@@ -29,43 +25,6 @@ impl fmt::Debug for Pacing {
             Self::Unpaced => "Unpaced",
             Self::Original(_) => "Original",
             Self::Live(_) => "Live",
-            Self::Stepped(_) => "Stepped",
         })
-    }
-}
-
-/// Releases the pairs of a replay one by one. Clones are handles of the same replay.
-#[derive(Clone, Debug, Default)]
-pub struct Stepper {
-    shared: Arc<Steps>,
-}
-
-#[derive(Debug, Default)]
-struct Steps {
-    open: Mutex<u64>,
-    more: Condvar,
-}
-
-impl Stepper {
-    /// A stepper without released steps.
-    pub fn new() -> Self {
-        Self::default()
-    }
-
-    /// Releases one more pair; a damaged pair counts.
-    pub fn step(&self) {
-        let mut open = self.shared.open.lock().unwrap_or_else(PoisonError::into_inner);
-        *open = open.saturating_add(1);
-        self.shared.more.notify_one();
-    }
-
-    /// Consumes a step, waiting for one up to `timeout`; returns whether there was one.
-    pub(crate) fn take(&self, timeout: Duration) -> bool {
-        let open = self.shared.open.lock().unwrap_or_else(PoisonError::into_inner);
-        let waited = self.shared.more.wait_timeout_while(open, timeout, |open| *open == 0);
-        let (mut open, _) = waited.unwrap_or_else(PoisonError::into_inner);
-        let taken = *open > 0;
-        *open = open.saturating_sub(1);
-        taken
     }
 }

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use image::{Rgb, RgbImage};
 use nalgebra::Vector3;
-use pb3dp_camera_replay::{Pacing, Recording, RecordingOptions, Repeat, ReplayCamera, ReplayOptions, Stepper};
+use pb3dp_camera_replay::{Pacing, Recording, RecordingOptions, Repeat, ReplayCamera, ReplayOptions};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, MonotonicTime, Pinhole, Pose, StereoRig};
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera};
 use pb3dp_hal_clock::VirtualClock;
@@ -174,28 +174,6 @@ fn a_live_replay_passes_over_what_a_slow_caller_missed() {
     clock.sleep_until(MonotonicTime::from_nanos(900 * PERIOD_NANOS));
     assert_eq!(once.next_pair(SECOND).unwrap().sequence, 3, "the last pair is never missed");
     assert_eq!(once.next_pair(SECOND).unwrap_err().kind(), CameraErrorKind::EndOfStream);
-}
-
-#[test]
-fn stepping_delivers_one_pair_per_step() {
-    let dir = tempfile::tempdir().unwrap();
-    record(dir.path(), 3);
-    let stepper = Stepper::new();
-    let mut camera = open(dir.path(), Pacing::Stepped(stepper.clone()), Repeat::Once);
-    let short = Duration::from_millis(5);
-    assert_eq!(camera.next_pair(short).unwrap_err().kind(), CameraErrorKind::Timeout);
-    stepper.step();
-    stepper.step();
-    assert_eq!(camera.next_pair(short).unwrap().sequence, 0);
-    assert_eq!(camera.next_pair(short).unwrap().sequence, 1);
-    assert_eq!(camera.next_pair(short).unwrap_err().kind(), CameraErrorKind::Timeout);
-    let other_thread = std::thread::spawn(move || {
-        std::thread::sleep(Duration::from_millis(20));
-        stepper.step();
-    });
-    assert_eq!(camera.next_pair(Duration::from_secs(20)).unwrap().sequence, 2);
-    other_thread.join().unwrap();
-    assert_eq!(camera.next_pair(short).unwrap_err().kind(), CameraErrorKind::EndOfStream);
 }
 
 #[test]

@@ -11,12 +11,13 @@ use anyhow::{Result, bail};
 use pb3dp_allocation_count::requests;
 use pb3dp_cell::capturing::Captured;
 use pb3dp_cell::cycles::Punctuality;
-use pb3dp_cell::halves::{Capture, Course, Estimate, Mover, Parted, Record};
+use pb3dp_cell::halves::{Capture, Course, Estimate, Mover, Record};
 use pb3dp_cell::looking::{Estimating, Looking};
 use pb3dp_cell::moving::{Moved, Moving};
+use pb3dp_cell::noting::PairEstimate;
 use pb3dp_cell::parts::Parts;
 use pb3dp_cell::percept::Percept;
-use pb3dp_cell::strip::Strip;
+use pb3dp_cell::perception::View;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
 use pb3dp_hal_clock::{SystemClock, VirtualClock};
@@ -80,68 +81,37 @@ struct Script {
 const NOTHING: Action = |_| Ok(());
 const QUIET: Script = Script { capture: NOTHING, estimate: NOTHING, record: NOTHING, step: NOTHING, stop: NOTHING };
 
-/// Perception, and each of its parts. Frames are numbers, one every two milliseconds.
+/// Perception, and each of its parts. A frame every two milliseconds.
 #[derive(Clone, Copy)]
 struct Part<'a>(&'a Done, Script);
 
 impl Capture for Part<'_> {
-    type Frame = u64;
-
-    fn capture(&mut self) -> Result<Option<u64>> {
+    fn capture(&mut self) -> Result<Option<Captured>> {
         std::thread::sleep(Duration::from_millis(2));
         (self.1.capture)(self.0)?;
-        Ok(Some(count(&self.0.captured)))
-    }
-
-    fn input(frame: &u64) -> FrameInput {
-        FrameInput { sequence: *frame, at: MonotonicTime::ZERO, skew_s: 0.0 }
+        let frame = FrameInput { sequence: count(&self.0.captured), at: MonotonicTime::ZERO, skew_s: 0.0 };
+        Ok(Some(Captured { frame, cam_left_from_target: None, view: View::Nothing }))
     }
 }
 
-impl Estimate for Part<'_> {
-    type Frame = u64;
-    type Observed = u64;
-    type Step = Step;
+impl Estimate<Step> for Part<'_> {
+    type Observed = ();
 
     fn moved(&mut self, _step: &Step) {}
 
-    fn look(&mut self, frame: u64) -> Result<(Percept, u64)> {
+    fn look(&mut self, Captured { frame, .. }: Captured) -> Result<(Option<Percept>, ())> {
         (self.1.estimate)(self.0)?;
         count(&self.0.estimated);
-        let input = Self::input(&frame);
-        let estimate = EstimateInput { at: input.at, confidence: Confidence::NoPose, covariance: None, target: 1 };
-        Ok((Percept { frame: input, estimate, observation: None, surface_from_model: None }, frame))
+        let estimate = EstimateInput { at: frame.at, confidence: Confidence::NoPose, covariance: None, target: 1 };
+        Ok((Some(Percept { frame, estimate, observation: None, surface_from_model: None }), ()))
     }
 }
 
-impl Record for Part<'_> {
-    type Observed = u64;
-    type Step = Step;
-
-    fn moved(&mut self, _step: &Step) {}
-
-    fn note(&mut self, _seen: u64) -> Result<()> {
+impl Record<Step, ()> for Part<'_> {
+    fn note(&mut self, _seen: ()) -> Result<()> {
         (self.1.record)(self.0)?;
         count(&self.0.recorded);
         Ok(())
-    }
-}
-
-impl Parted for Part<'_> {
-    type Step = Step;
-    type Frame = u64;
-    type Observed = u64;
-
-    fn begin_at(&mut self, _begin: MonotonicTime) {}
-
-    fn parts(
-        &mut self,
-    ) -> (
-        impl Capture<Frame = u64>,
-        impl Estimate<Frame = u64, Observed = u64, Step = Step>,
-        impl Record<Observed = u64, Step = Step>,
-    ) {
-        (*self, *self, *self)
     }
 }
 
@@ -209,7 +179,8 @@ fn run(pace: Pace, script: Script) -> (Done, Option<Result<()>>, Punctuality) {
     let setup = setup(pace);
     let mut arms = Arms { done: &done, script, is_on: false, newest: 0, requests: None, interrupt: &interrupt };
     let course = Course { setup: &setup, clock: &clock, duration: Duration::from_secs(600), interrupt: &interrupt };
-    let ended = catch_unwind(AssertUnwindSafe(|| course.run(&mut Part(&done, script), &mut arms)));
+    let [mut camera, mut method, mut recorder] = [Part(&done, script); 3];
+    let ended = catch_unwind(AssertUnwindSafe(|| course.run((&mut camera, &mut method, &mut recorder), &mut arms)));
     assert!(!arms.is_on, "both arms are stopped, however a run ends");
     assert_eq!(of(&done.stops), 1);
     let (ended, punctuality) = ended.map_or((None, None), |(ended, punctuality)| (Some(ended), punctuality));
@@ -334,16 +305,6 @@ fn a_failure_in_any_thread_stops_both_arms_and_is_told() {
 /// Number of steps for which the hand tracks, before its method stalls, holds meanwhile, and tracks again.
 const ENOUGH: u64 = 40;
 
-/// A run whose method once takes so long that the newest images become too old.
-struct SlowOnce<'a> {
-    looking: Looking<'a>,
-    seen: Seen,
-    /// Since the hand tracks.
-    moved: Vec<Moved>,
-    /// Ends the run.
-    interrupt: Arc<AtomicBool>,
-}
-
 /// What the recorder has been told of so far.
 #[derive(Default)]
 struct Seen {
@@ -353,37 +314,35 @@ struct Seen {
     resumed: AtomicU64,
 }
 
-struct SlowMethod<'w, 'a>(&'w mut Estimating<'a>, &'w Seen);
+/// A method that once takes so long that the newest images become too old.
+struct SlowMethod<'w, 'a>(Estimating<'a>, &'w Seen);
 
 struct Kept<'w> {
-    moved: &'w mut Vec<Moved>,
+    /// Since the hand tracks.
+    moved: Vec<Moved>,
     seen: &'w Seen,
+    /// Ends the run.
     interrupt: &'w AtomicBool,
 }
 
-impl Estimate for SlowMethod<'_, '_> {
-    type Frame = Captured;
-    type Observed = ();
-    type Step = Moved;
+impl Estimate<Moved> for SlowMethod<'_, '_> {
+    type Observed = PairEstimate;
 
     fn moved(&mut self, step: &Moved) {
-        self.0.push_joints(step.vs_joints);
+        self.0.moved(step);
     }
 
-    fn look(&mut self, frame: Captured) -> Result<(Percept, ())> {
+    fn look(&mut self, frame: Captured) -> Result<(Option<Percept>, PairEstimate)> {
         let begin = Instant::now();
         while of(&self.1.followed) >= ENOUGH && of(&self.1.stale) < ENOUGH {
             assert!(begin.elapsed() < HELD_UP, "the hand does not hold");
             std::thread::sleep(Duration::from_millis(1));
         }
-        Ok((self.0.look(frame)?.percept(), ()))
+        Estimate::<Moved>::look(&mut self.0, frame)
     }
 }
 
-impl Record for Kept<'_> {
-    type Observed = ();
-    type Step = Moved;
-
+impl Record<Moved, PairEstimate> for Kept<'_> {
     fn moved(&mut self, step: &Moved) {
         let has_followed = of(&self.seen.followed) >= ENOUGH;
         let has_rested = of(&self.seen.stale) >= ENOUGH;
@@ -402,36 +361,10 @@ impl Record for Kept<'_> {
             }
         }
     }
-
-    fn note(&mut self, _seen: ()) -> Result<()> {
-        Ok(())
-    }
 }
 
 fn is_stale(step: &Moved) -> bool {
     step.decision.found.contains(Condition::FrameStale)
-}
-
-impl Parted for SlowOnce<'_> {
-    type Step = Moved;
-    type Frame = Captured;
-    type Observed = ();
-
-    fn begin_at(&mut self, begin: MonotonicTime) {
-        self.looking.begin_at(begin);
-    }
-
-    fn parts(
-        &mut self,
-    ) -> (
-        impl Capture<Frame = Captured>,
-        impl Estimate<Frame = Captured, Observed = (), Step = Moved>,
-        impl Record<Observed = (), Step = Moved>,
-    ) {
-        let Looking { capturing, estimating, .. } = &mut self.looking;
-        let seen = &self.seen;
-        (capturing, SlowMethod(estimating, seen), Kept { moved: &mut self.moved, seen, interrupt: &self.interrupt })
-    }
 }
 
 /// While the method stalls the arm holds by the policy of stale frames, step by step, and resumes afterwards.
@@ -446,19 +379,19 @@ fn an_arm_rests_while_its_method_takes_too_long() {
         setup.experiment.steps_mut().unwrap().lead_in_s = 1.0;
         let Parts { clock, camera, vs, tc, cell, experiment, marking, interrupt, .. } = wire(&setup).unwrap();
         let now = clock.now();
-        let looking = Looking::new(&setup, (camera, cell, marking), (Strip::default(), &clock), None).unwrap();
+        let Looking { mut capturing, estimating } = Looking::new(&setup, (camera, cell, marking), &clock).unwrap();
         let mut moving = Moving::new(&setup, (vs, tc), &*experiment, now).unwrap();
-        let mut slow =
-            SlowOnce { looking, seen: Seen::default(), moved: Vec::new(), interrupt: Arc::clone(&interrupt) };
+        let seen = Seen::default();
+        let mut slow = SlowMethod(estimating, &seen);
+        let mut kept = Kept { moved: Vec::new(), seen: &seen, interrupt: &interrupt };
         // The recorder ends the run long before.
         let course = Course { setup: &setup, clock: &clock, duration: HELD_UP, interrupt: &interrupt };
-        course.run(&mut slow, &mut moving).0.unwrap();
-        rests_while_stale(&slow);
+        course.run((&mut capturing, &mut slow, &mut kept), &mut moving).0.unwrap();
+        rests_while_stale(&kept);
     });
 }
 
-fn rests_while_stale(slow: &SlowOnce<'_>) {
-    let SlowOnce { seen, moved, .. } = slow;
+fn rests_while_stale(Kept { seen, moved, .. }: &Kept<'_>) {
     let why = moved.last().map(|step| &step.decision.why);
     assert!(of(&seen.resumed) >= ENOUGH, "{why:?}");
     let runs = moved.chunk_by(|a, b| is_stale(a) == is_stale(b)).filter(|run| is_stale(&run[0]));

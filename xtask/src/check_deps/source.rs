@@ -32,7 +32,6 @@ const ALLOWED: &[(&str, &[World])] = &[
     ("crates/calibration/src/command/source.rs", &[CLOCK]),
     ("crates/calibration/src/main.rs", &[PROCESSES]),
     ("crates/cell/src/attended_motion.rs", &[THREADS]),
-    ("crates/cell/src/beside.rs", &[THREADS]),
     ("crates/cell/src/compared.rs", &[CLOCK]),
     ("crates/cell/src/console.rs", &[THREADS]),
     ("crates/cell/src/console/reading.rs", &[THREADS]),
@@ -40,6 +39,7 @@ const ALLOWED: &[(&str, &[World])] = &[
     // Ends the program on a second signal.
     ("crates/cell/src/interruption.rs", &[FILES, THREADS, CLOCK, PROCESSES]),
     ("crates/cell/src/live.rs", &[THREADS]),
+    ("crates/cell/src/lockstep.rs", &[THREADS]),
     ("crates/cell/src/looking.rs", &[CLOCK]),
     ("crates/cell/src/machine.rs", &[FILES, THREADS, ENVIRONMENT]),
     ("crates/cell/src/paced_clock.rs", &[THREADS, CLOCK]),

@@ -7,17 +7,16 @@ use std::time::Duration;
 
 use anyhow::Result;
 use nalgebra::{Matrix6, Vector3, Vector6};
+use pb3dp_cell::capturing::{Captured, Capturing};
 use pb3dp_cell::cell::{FreeTarget, SimulatedCell};
-use pb3dp_cell::channels::Plan;
-use pb3dp_cell::halves::{Course, Watcher};
+use pb3dp_cell::halves::{Capture, Course, Estimate, Record};
 use pb3dp_cell::journal::Journal;
-use pb3dp_cell::log::RunLog;
-use pb3dp_cell::looking::Looking;
+use pb3dp_cell::looking::{Estimating, Looking};
 use pb3dp_cell::moving::{Moved, Moving};
+use pb3dp_cell::noting::PairEstimate;
 use pb3dp_cell::operator::Operator;
 use pb3dp_cell::parts::Parts;
 use pb3dp_cell::percept::Percept;
-use pb3dp_cell::strip::Strip;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
 use pb3dp_servo::supervisor::Confidence;
@@ -129,8 +128,8 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
     let experiment = Arc::clone(&parts.experiment);
     let mut first = Host::new(&stage, (&setup, &*experiment), parts, Happening::new(scenario))?;
     let mut ended = first.run(&stage);
-    let lead_s = (!scenario.disturbs_enabling()).then(|| first.watching.begin.seconds_since(first.watching.wired));
-    let zero = first.watching.zero;
+    let lead_s = (!scenario.disturbs_enabling()).then(|| first.writing.begin.seconds_since(first.writing.wired));
+    let zero = first.writing.zero;
     if let Some(restart) = scenario.restart.filter(|_| first.faulty.happening.has_died) {
         // The arms of the dead host stay until the next one has connected: they work off what happens at the far ends.
         if let Some((setup, Wired { parts, monitors, .. })) = restart.next_host(&stage)? {
@@ -163,7 +162,9 @@ fn by_arm<T>(named: impl IntoIterator<Item = (&'static str, T)>) -> [Option<T>; 
 struct Host<'a> {
     setup: &'a Setup,
     interrupt: Arc<AtomicBool>,
+    camera: Camera<'a>,
     watching: Watching<'a>,
+    writing: Writing<'a>,
     faulty: Faulty<'a>,
 }
 
@@ -177,33 +178,43 @@ impl<'a> Host<'a> {
         let Stage { scenario, clock, recorder, log, world, .. } = stage;
         let now = clock.now();
         let sees = (parts.camera, parts.cell.clone(), parts.marking);
-        let looking = Looking::new(setup, sees, (Strip::default(), &parts.clock), None)?;
+        let Looking { capturing, estimating } = Looking::new(setup, sees, &parts.clock)?;
         let operator: Box<dyn Operator> = match scenario.has_person {
             true => Box::new(Speaker::new(scenario, Arc::clone(clock), (Arc::clone(recorder), log.clone()))),
             false => Box::new(Overheard::new(scenario, Arc::clone(clock), Arc::clone(recorder))),
         };
         let moving = Moving::new(setup, (parts.vs, parts.tc), experiment, now)?.with_operator(operator);
-        let plan = Plan::of(&scenario.motion, experiment);
         let (cell, interrupt) = (parts.cell, Arc::new(AtomicBool::new(false)));
         let zero = happening.zero.unwrap_or(now);
+        let noticing = CameraFaults {
+            scenario,
+            recorder: Arc::clone(recorder),
+            zero: happening.zero.unwrap_or(now + Duration::from_secs_f64(cameras::LEAD_S)),
+        };
+        let camera = Camera { capturing, clock: Arc::clone(clock), faults: noticing.clone() };
         let watching = Watching {
-            looking,
-            journal: Journal::new(setup, (now, scenario.run_s), (RunLog::default(), plan)),
+            estimating,
+            scenario,
+            clock: Arc::clone(clock),
+            recorder: Arc::clone(recorder),
+            camera_faults: noticing,
+            dice: Dice::new(!scenario.seed),
+            hit: false,
+            waiting: VecDeque::new(),
+            buffered: VecDeque::new(),
+            standing: None,
+        };
+        let writing = Writing {
+            journal: Journal::new(setup, experiment, (true, true), (now, scenario.run_s))?,
             unwritten: VecDeque::new(),
             begin_cell: Box::new(move |begin| cell.begin_at(begin)),
             scenario,
             clock: Arc::clone(clock),
             recorder: Arc::clone(recorder),
             wired: now,
-            camera_zero: happening.zero.unwrap_or(now + Duration::from_secs_f64(cameras::LEAD_S)),
             begin: now,
             zero,
             is_first: happening.zero.is_none(),
-            dice: Dice::new(!scenario.seed),
-            hit: false,
-            waiting: VecDeque::new(),
-            buffered: VecDeque::new(),
-            standing: None,
         };
         let faulty = Faulty {
             inner: moving,
@@ -217,7 +228,7 @@ impl<'a> Host<'a> {
             wired: now,
             happening,
         };
-        Ok(Self { setup, interrupt, watching, faulty })
+        Ok(Self { setup, interrupt, camera, watching, writing, faulty })
     }
 
     /// Runs the program; returns why it ended early.
@@ -227,8 +238,9 @@ impl<'a> Host<'a> {
         let duration = Duration::from_secs_f64(left_s.max(0.0));
         let course = Course { setup: self.setup, clock, duration, interrupt: &self.interrupt };
         let outcome = tracing::subscriber::with_default(log.clone(), || {
-            let outcome = course.run_in_lockstep(&mut self.watching, &mut self.faulty);
-            self.watching.write_all();
+            let Self { camera, watching, writing, faulty, .. } = self;
+            let outcome = course.run_in_lockstep((camera, watching, writing), faulty);
+            self.writing.write_all();
             outcome
         });
         let ended = outcome.err().map(|error| format!("{error:#}"));
@@ -262,25 +274,30 @@ fn afterwards(stage: &Stage<'_>, (lead_s, log): (Option<f64>, Vec<LogLine>), end
     Ran { truth: std::mem::take(&mut recording.truth), ended, became, states, lead_s, has_new_host, notes }
 }
 
+/// The camera: notices what its faults do to the pairs that do not come.
+struct Camera<'a> {
+    capturing: Capturing,
+    clock: Arc<dyn Clock>,
+    faults: CameraFaults<'a>,
+}
+
+impl Capture for Camera<'_> {
+    fn capture(&mut self) -> Result<Option<Captured>> {
+        let captured = self.capturing.capture()?;
+        if captured.is_none() {
+            self.faults.note(None, self.clock.now());
+        }
+        Ok(captured)
+    }
+}
+
 /// The perception thread with its faults.
 struct Watching<'a> {
-    looking: Looking<'a>,
-    /// The part of the program that writes the log of a run.
-    journal: Journal,
-    /// Control steps that wait for it while it stands still.
-    unwritten: VecDeque<Moved>,
-    begin_cell: Box<dyn Fn(MonotonicTime)>,
+    estimating: Estimating<'a>,
     scenario: &'a Scenario,
     clock: Arc<dyn Clock>,
     recorder: Shared,
-    /// When the camera started.
-    wired: MonotonicTime,
-    /// The planned time zero of the scenario, to which camera faults refer.
-    camera_zero: MonotonicTime,
-    begin: MonotonicTime,
-    /// Time zero of the scenario: the begin of the first host.
-    zero: MonotonicTime,
-    is_first: bool,
+    camera_faults: CameraFaults<'a>,
     dice: Dice,
     /// Whether the last checked fault changed a percept.
     hit: bool,
@@ -292,34 +309,18 @@ struct Watching<'a> {
     standing: Option<u64>,
 }
 
-impl Watcher for Watching<'_> {
-    type Step = Moved;
-
-    fn begin_at(&mut self, begin: MonotonicTime) {
-        (self.begin_cell)(begin);
-        self.looking.begin_at(begin);
-        self.journal.begin_at(begin);
-        self.begin = begin;
-        if self.is_first {
-            self.zero = begin;
-            lock(&self.recorder).begin_at(begin);
-        } else {
-            lock(&self.recorder).begin_again(begin);
-        }
-    }
+impl Estimate<Moved> for Watching<'_> {
+    type Observed = PairEstimate;
 
     fn moved(&mut self, step: &Moved) {
-        self.looking.push_joints(step.vs_joints);
-        self.unwritten.push_back(*step);
-        self.write_unless_stalled();
-        lock(&self.recorder).moved(step, self.clock.now());
+        self.estimating.moved(step);
     }
 
-    fn look(&mut self) -> Result<Option<Percept>> {
-        let seen = self.looking.look()?.map(|seen| seen.percept());
-        let (now, t_s) = (self.clock.now(), self.clock.now().seconds_since(self.zero));
-        self.note_cameras(seen.as_ref(), t_s);
-        let Some(percept) = seen else { return Ok(None) };
+    fn look(&mut self, frame: Captured) -> Result<(Option<Percept>, PairEstimate)> {
+        let seen = self.estimating.look(frame)?;
+        let (percept, now) = (seen.percept(), self.clock.now());
+        self.camera_faults.note(Some(&percept), now);
+        let t_s = lock(&self.recorder).t_s(now);
         self.buffered.push_front(percept.observation);
         self.buffered.truncate(BUFFERED);
         let mut changed = Some(percept);
@@ -339,15 +340,49 @@ impl Watcher for Watching<'_> {
             let is_due = self.waiting.front().is_some_and(|(due, _)| *due <= now);
             changed = if is_due { self.waiting.pop_front().map(|(_, percept)| percept) } else { None };
         }
-        Ok(changed)
-    }
-
-    fn note(&mut self) -> Result<()> {
-        Ok(())
+        Ok((changed, seen))
     }
 }
 
-impl Watching<'_> {
+/// The recording thread with its faults.
+struct Writing<'a> {
+    /// The part of the program that writes the log of a run.
+    journal: Journal<'a>,
+    /// Control steps that wait for it while it stands still.
+    unwritten: VecDeque<Moved>,
+    begin_cell: Box<dyn Fn(MonotonicTime)>,
+    scenario: &'a Scenario,
+    clock: Arc<dyn Clock>,
+    recorder: Shared,
+    /// When the camera started.
+    wired: MonotonicTime,
+    begin: MonotonicTime,
+    /// Time zero of the scenario: the begin of the first host.
+    zero: MonotonicTime,
+    is_first: bool,
+}
+
+impl Record<Moved, PairEstimate> for Writing<'_> {
+    fn begin_at(&mut self, begin: MonotonicTime) {
+        (self.begin_cell)(begin);
+        self.journal.begin_at(begin);
+        self.begin = begin;
+        if self.is_first {
+            self.zero = begin;
+            lock(&self.recorder).begin_at(begin);
+        } else {
+            lock(&self.recorder).begin_again(begin);
+        }
+    }
+
+    fn moved(&mut self, step: &Moved) {
+        self.unwritten.push_back(*step);
+        self.write_unless_stalled();
+        lock(&self.recorder).moved(step, self.clock.now());
+    }
+}
+
+impl Writing<'_> {
     /// Writes the control steps that wait, as a thread of its own does in a real run, unless that thread stands still.
     fn write_unless_stalled(&mut self) {
         let t_s = self.clock.now().seconds_since(self.zero);
@@ -364,9 +399,21 @@ impl Watching<'_> {
             self.journal.note(&step, None);
         }
     }
+}
 
+/// What the faults of the camera do.
+#[derive(Clone)]
+struct CameraFaults<'a> {
+    scenario: &'a Scenario,
+    recorder: Shared,
+    /// The planned time zero of the scenario, to which camera faults refer.
+    zero: MonotonicTime,
+}
+
+impl CameraFaults<'_> {
     /// Records the effect of camera faults on the frame pair that is due now.
-    fn note_cameras(&self, seen: Option<&Percept>, t_s: f64) {
+    fn note(&self, seen: Option<&Percept>, now: MonotonicTime) {
+        let t_s = lock(&self.recorder).t_s(now);
         let is_spoiled = seen.is_none_or(|percept| percept.estimate.confidence != Confidence::Sure);
         for (index, fault) in self.scenario.faults.iter().enumerate().filter(|(_, fault)| fault.is_on(t_s)) {
             let Kind::Camera(kind) = fault.kind else { continue };
@@ -375,7 +422,7 @@ impl Watching<'_> {
                 recorder.touched(index);
             }
             // A frozen camera delivers no new image, whatever frame number it reports.
-            let exposed_s = seen.map(|percept| since_s(percept.frame.at, self.camera_zero));
+            let exposed_s = seen.map(|percept| since_s(percept.frame.at, self.zero));
             if let (Some(percept), true, CameraFaultKind::Frozen) =
                 (seen, exposed_s.is_some_and(|exposed_s| fault.is_on(exposed_s)), kind)
             {
@@ -383,7 +430,9 @@ impl Watching<'_> {
             }
         }
     }
+}
 
+impl Watching<'_> {
     /// Applies a fault to a percept; `None`: it is not delivered now.
     fn spoil(&mut self, kind: &Kind, mut percept: Percept, now: MonotonicTime) -> Option<Percept> {
         match *kind {

@@ -9,6 +9,9 @@ mod json;
 mod limit_use;
 mod limits;
 mod page;
+#[path = "../../src/accuracy/plot.rs"]
+#[allow(dead_code, reason = "all axes of these figures are linear")]
+mod plot;
 mod runs;
 mod setups;
 mod ways;

@@ -7,10 +7,10 @@ use pb3dp_cell::figures::RmsMax;
 use pb3dp_cell::log::{ControlSample, RunLog};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Hand, World};
-use pb3dp_record::report::{LinePlot, Series, SeriesColor, svg_file};
 
 use crate::ideal::{Ideal, TAPS};
 use crate::limits::Check;
+use crate::plot::{AxisKind, Line, Panel, svg_with_caption};
 use crate::runs::{Fig7, Response, Step};
 use crate::setups::{NOISE_GREY, Who};
 use crate::{Findings, ways_page};
@@ -210,28 +210,28 @@ pub fn motion_figure(runs: &[Fig7]) -> Option<String> {
     let ours = runs.iter().find(|run| run.who == Who::Ours.name())?;
     let published = runs.iter().find(|run| run.who == Who::Published.name() && run.delay_millis == ours.delay_millis);
     let (wanted, hand): (Pick, Pick) = (|s| &s.world_from_hand_locked, |s| &s.world_from_hand);
-    let mut lines = vec![("wanted", SeriesColor::Ink, &ours.log, wanted)];
-    lines.extend(published.map(|published| ("published", SeriesColor::Blue, &published.log, hand)));
-    lines.push(("direct", SeriesColor::Red, &ours.log, hand));
+    let mut lines = vec![("wanted", &ours.log, wanted)];
+    lines.extend(published.map(|published| ("published", &published.log, hand)));
+    lines.push(("direct", &ours.log, hand));
     let axes = ours.log.control.first()?.world_from_target.rotation();
-    let panels: Vec<LinePlot> = (0..6).map(|row| motion_panel(row, &lines, &axes)).collect();
+    let panels: Vec<Panel> = (0..6).map(|row| motion_panel(row, &lines, &axes)).collect();
     let caption = format!(
         "Translation and rotation of the hand since the start, in the target's axes at the start; direct method: {}{}; total delay {:.0} ms.",
         ours.target,
         published.map_or(String::new(), |run| format!("; published method: {}", run.target)),
         ours.delay_millis
     );
-    Some(svg_file(&panels, 2, &[caption]))
+    Some(svg_with_caption(&panels, 2, &[caption]))
 }
 
 type Pick = fn(&ControlSample) -> &Pose<World, Hand>;
 
-fn motion_panel(row: usize, lines: &[(&str, SeriesColor, &RunLog, Pick)], axes: &UnitQuaternion<f64>) -> LinePlot {
+fn motion_panel(row: usize, lines: &[(&'static str, &RunLog, Pick)], axes: &UnitQuaternion<f64>) -> Panel {
     let letter = ["a", "b", "c", "d", "e", "f"][row];
     let axis = ["x", "y", "z"][row % 3];
-    let (title, y) = match row < 3 {
-        true => (format!("({letter}) position {axis}"), ("translation", "mm")),
-        false => (format!("({letter}) orientation {axis}"), ("rotation", "deg")),
+    let title = match row < 3 {
+        true => format!("({letter}) position {axis}, mm"),
+        false => format!("({letter}) orientation {axis}, deg"),
     };
     let value = |start: &Pose<World, Hand>, now: &Pose<World, Hand>| -> f64 {
         let turned = (now.rotation() * start.rotation().inverse()).scaled_axis();
@@ -240,40 +240,39 @@ fn motion_panel(row: usize, lines: &[(&str, SeriesColor, &RunLog, Pick)], axes: 
             false => (axes.inverse() * turned)[row - 3].to_degrees(),
         }
     };
-    lines.iter().fold(LinePlot::new(title, ("time", "s"), y), |plot, (name, color, log, pick)| {
-        let Some(first) = log.control.first() else { return plot };
-        let start = first.world_from_hand_locked;
+    let line = |(name, log, pick): &(&str, &RunLog, Pick)| {
+        let start = log.control.first().map(|first| first.world_from_hand_locked);
         let mut next_s = 0.0;
         let mut points = Vec::new();
-        for sample in log.control.iter() {
+        for (sample, start) in log.control.iter().zip(std::iter::repeat(start).flatten()) {
             if sample.t_s >= next_s {
                 next_s += LINE_STEP_S;
                 points.push([sample.t_s, value(&start, pick(sample))]);
             }
         }
-        plot.series(Series::line(*name, *color, points))
-    })
+        Line { name: (*name).to_owned(), points, is_bound: *name == "wanted" }
+    };
+    linear(title, "time, s", lines.iter().map(line).collect())
+}
+
+fn linear(title: String, x: &str, lines: Vec<Line>) -> Panel {
+    Panel { title, x: x.to_owned(), axes: [AxisKind::Linear; 2], lines }
 }
 
 /// Gain and phase over the period, for a translation and a rotation, with both laws.
 pub fn response_figure(responses: &[Response]) -> String {
     type Figure = fn(&Response) -> Option<f64>;
-    let figures: [(&str, (&str, &str), Figure); 2] =
-        [("gain", ("gain", "dB"), |r| r.gain_db), ("phase", ("phase", "deg"), |r| r.phase_deg)];
-    let lines = [
-        (Who::Published, "x", SeriesColor::Grey),
-        (Who::Published, "ry", SeriesColor::Orange),
-        (Who::Ours, "x", SeriesColor::Blue),
-        (Who::Ours, "ry", SeriesColor::Red),
-    ];
-    let panel = |(title, y, pick): (&str, (&str, &str), Figure)| {
-        lines.iter().fold(LinePlot::new(title, ("period", "s"), y), |plot, (who, channel, color)| {
+    let figures: [(&str, Figure); 2] = [("gain, dB", |r| r.gain_db), ("phase, deg", |r| r.phase_deg)];
+    let lines = [(Who::Published, "x"), (Who::Published, "ry"), (Who::Ours, "x"), (Who::Ours, "ry")];
+    let panel = |(title, pick): (&str, Figure)| {
+        let line = |(who, channel): &(Who, &str)| {
             let mine = responses.iter().filter(|r| r.who == who.name() && r.channel == *channel);
             let mut points: Vec<[f64; 2]> = mine.filter_map(|r| Some([r.period_s, pick(r)?])).collect();
             points.sort_by(|a, b| a[0].total_cmp(&b[0]));
-            plot.series(Series::line(format!("{channel}, {}", who.name()), *color, points))
-        })
+            Line { name: format!("{channel}, {}", who.name()), points, is_bound: false }
+        };
+        linear(title.to_owned(), "period, s", lines.iter().map(line).collect())
     };
     let caption = "Sinusoids of 100 mm (x) and 20 degrees (ry), without images.".to_owned();
-    svg_file(&figures.map(panel), 2, &[caption])
+    svg_with_caption(&figures.map(panel), 2, &[caption])
 }

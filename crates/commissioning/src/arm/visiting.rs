@@ -15,14 +15,13 @@ use pb3dp_kinematics::{Chain, DOF, JointVector};
 use pb3dp_record::images::{StoredFormat, save};
 use pb3dp_record::stops::{ArmStand, Stop, Stops, save_stops};
 use pb3dp_recording::stops::StopsRecording;
-use pb3dp_servo::supervisor::{Confidence, EstimateInput, FrameInput};
 use pb3dp_setup::setup::{Pace, Setup};
 
 use super::drive::{ARRIVED_WITHIN_RAD, GAIN_PER_S, LATE_MAX};
 use super::stillness::shift_px;
 use pb3dp_cell::both_arms::{BothArms, LedArm};
 use pb3dp_cell::capturing::{Captured, Capturing};
-use pb3dp_cell::halves::{Capture, Course, Estimate, Mover, Parted, Record};
+use pb3dp_cell::halves::{Capture, Course, Estimate, Mover, Record};
 use pb3dp_cell::parts::{ArmChoice, Parts};
 use pb3dp_cell::percept::Percept;
 use pb3dp_cell::perception::View;
@@ -101,16 +100,14 @@ pub struct Output {
 pub fn run(setup: &Setup, parts: Parts, tour: &Tour, output: Output, date: String) -> Result<Visited> {
     let Parts { clock, camera, vs, tc, cell, emulated, interrupt, .. } = parts;
     let progress = Progress::default();
-    let mut watching = Watching {
-        capturing: Looking {
-            capturing: Capturing::new(setup, camera, cell),
-            // In simulation, images that are not used are not rendered.
-            unless_under_way: setup.world.is_some().then_some(&progress),
-            pause: (setup.pace == Pace::Live).then_some((&*clock, setup.rig.frames.period)),
-        },
-        resting: Resting { exposure: setup.rig.frames.exposure, step: None, sums: Sums::default(), before: None },
-        keeping: Keeping::new(setup, (output, date), &progress)?,
+    let mut looking = Looking {
+        capturing: Capturing::new(setup, camera, cell),
+        // In simulation, images that are not used are not rendered.
+        unless_under_way: setup.world.is_some().then_some(&progress),
+        pause: (setup.pace == Pace::Live).then_some((&*clock, setup.rig.frames.period)),
     };
+    let mut resting = Resting { exposure: setup.rig.frames.exposure, step: None, sums: Sums::default(), before: None };
+    let mut keeping = Keeping::new(setup, (output, date), &progress)?;
     let mut visiting = Visiting {
         arms: BothArms::new(setup, (vs, tc), clock.now()),
         tour,
@@ -121,12 +118,12 @@ pub fn run(setup: &Setup, parts: Parts, tour: &Tour, output: Output, date: Strin
         is_whole: false,
     };
     let course = Course { setup, clock: &clock, duration: tour.duration_max(), interrupt: &interrupt };
-    let (ended, _) = course.run(&mut watching, &mut visiting);
+    let (ended, _) = course.run((&mut looking, &mut resting, &mut keeping), &mut visiting);
     let Visiting { arms, way, is_whole, .. } = visiting;
     // The arms are dropped before the emulators at the other end of their links.
     drop(arms);
     drop(emulated);
-    let Keeping { taken, output, .. } = watching.keeping;
+    let Keeping { taken, output, .. } = keeping;
     let written = output.file.map_or(Ok(()), StopsRecording::finish);
     let restless = (0..way.min(tour.stops())).filter(|stop| !taken.contains(stop)).map(|stop| stop + 1).collect();
     ended.and(written).map(|()| Visited { taken: taken.len(), restless, is_whole })
@@ -155,7 +152,7 @@ pub fn look_here(setup: &Setup, parts: Parts, patience: Duration, output: Output
         shift = before.as_ref().map_or(f64::INFINITY, |before| shift_of(before, &pair));
         if shift <= STILL_WITHIN_PX {
             let [vs_rad, tc_rad] = [&arms.vs, &arms.tc].map(|arm| arm.joints().position_rad);
-            keeping.step(&VisitStep { at: pair.exposed_at, vs_rad, tc_rad, rest: None });
+            keeping.moved(&VisitStep { at: pair.exposed_at, vs_rad, tc_rad, rest: None });
             keeping.keep(&Still { stop: 0, pair, vs_rad, tc_rad })?;
             break;
         }
@@ -316,13 +313,6 @@ impl Visiting<'_> {
     }
 }
 
-/// The vision half: camera, stillness check and recording; each may have its own thread.
-struct Watching<'a> {
-    capturing: Looking<'a>,
-    resting: Resting,
-    keeping: Keeping<'a>,
-}
-
 /// The camera; with a progress, no images are requested while the arm moves.
 struct Looking<'a> {
     capturing: Capturing,
@@ -332,8 +322,6 @@ struct Looking<'a> {
 }
 
 impl Capture for Looking<'_> {
-    type Frame = Captured;
-
     fn capture(&mut self) -> Result<Option<Captured>> {
         match self.unless_under_way {
             Some(progress) if progress.is_under_way.load(Ordering::SeqCst) => {
@@ -344,28 +332,6 @@ impl Capture for Looking<'_> {
             }
             _ => self.capturing.capture(),
         }
-    }
-
-    fn input(frame: &Captured) -> FrameInput {
-        Capturing::input(frame)
-    }
-}
-
-impl Parted for Watching<'_> {
-    type Step = VisitStep;
-    type Frame = Captured;
-    type Observed = Option<Still>;
-
-    fn begin_at(&mut self, _begin: MonotonicTime) {}
-
-    fn parts(
-        &mut self,
-    ) -> (
-        impl Capture<Frame = Captured>,
-        impl Estimate<Frame = Captured, Observed = Option<Still>, Step = VisitStep>,
-        impl Record<Observed = Option<Still>, Step = VisitStep>,
-    ) {
-        (&mut self.capturing, Judging(&mut self.resting), Writing(&mut self.keeping))
     }
 }
 
@@ -395,44 +361,36 @@ struct Sums {
     tc_rad: JointVector,
 }
 
-struct Judging<'a>(&'a mut Resting);
-
-impl Estimate for Judging<'_> {
-    type Frame = Captured;
+impl Estimate<VisitStep> for Resting {
     type Observed = Option<Still>;
-    type Step = VisitStep;
 
     fn moved(&mut self, step: &VisitStep) {
-        let Self(resting) = self;
-        resting.step = Some(*step);
+        self.step = Some(*step);
         let Some((stop, _)) = step.rest else {
-            resting.sums = Sums::default();
+            self.sums = Sums::default();
             return;
         };
-        if resting.sums.stop != Some(stop) {
-            resting.sums = Sums { stop: Some(stop), ..Sums::default() };
+        if self.sums.stop != Some(stop) {
+            self.sums = Sums { stop: Some(stop), ..Sums::default() };
         }
-        resting.sums.count += 1.0;
-        resting.sums.vs_rad += step.vs_rad;
-        resting.sums.tc_rad += step.tc_rad;
+        self.sums.count += 1.0;
+        self.sums.vs_rad += step.vs_rad;
+        self.sums.tc_rad += step.tc_rad;
     }
 
-    fn look(&mut self, frame: Captured) -> Result<(Percept, Option<Still>)> {
-        let Self(resting) = self;
+    fn look(&mut self, frame: Captured) -> Result<(Option<Percept>, Option<Still>)> {
         let at = frame.frame.at;
-        let estimate = EstimateInput { at, confidence: Confidence::NoPose, covariance: None, target: 0 };
-        let percept = Percept { frame: frame.frame, estimate, observation: None, surface_from_model: None };
         let skew = Duration::from_secs_f64(frame.frame.skew_s.abs().min(1.0));
-        let stop = resting.step.and_then(|step| step.rest).filter(|(_, since)| at >= *since + resting.exposure + skew);
+        let stop = self.step.and_then(|step| step.rest).filter(|(_, since)| at >= *since + self.exposure + skew);
         let (Some((stop, _)), Some(pair)) = (stop, pair_of(frame)) else {
-            resting.before = None;
-            return Ok((percept, None));
+            self.before = None;
+            return Ok((None, None));
         };
-        let before = resting.before.replace((stop, Arc::clone(&pair))).filter(|(of, _)| *of == stop);
+        let before = self.before.replace((stop, Arc::clone(&pair))).filter(|(of, _)| *of == stop);
         let is_still = before.is_some_and(|(_, before)| shift_of(&before, &pair) <= STILL_WITHIN_PX);
-        let Sums { count, vs_rad, tc_rad, .. } = resting.sums;
+        let Sums { count, vs_rad, tc_rad, .. } = self.sums;
         let still = Still { stop, pair, vs_rad: vs_rad / count, tc_rad: tc_rad / count };
-        Ok((percept, is_still.then_some(still)))
+        Ok((None, is_still.then_some(still)))
     }
 }
 
@@ -453,13 +411,6 @@ impl<'a> Keeping<'a> {
         }
         let chains = [setup.rig.arms.vs.chain.clone(), setup.rig.arms.tc.chain.clone()];
         Ok(Self { output, stops: Stops { date, stops: Vec::new() }, taken: Vec::new(), chains, progress })
-    }
-
-    /// Records the joints of a control step.
-    fn step(&mut self, step: &VisitStep) {
-        if let Some(file) = &mut self.output.file {
-            file.step(step.at, [&step.vs_rad, &step.tc_rad]);
-        }
     }
 
     /// Records a pair, unless its stop is finished.
@@ -492,18 +443,16 @@ fn stand((chain, joints_rad): (&Chain, &JointVector)) -> ArmStand {
     ArmStand { joints_rad: joints, base_from_flange: chain.forward(joints_rad) }
 }
 
-struct Writing<'w, 'a>(&'w mut Keeping<'a>);
-
-impl Record for Writing<'_, '_> {
-    type Observed = Option<Still>;
-    type Step = VisitStep;
-
+impl Record<VisitStep, Option<Still>> for Keeping<'_> {
+    /// Records the joints of a control step.
     fn moved(&mut self, step: &VisitStep) {
-        self.0.step(step);
+        if let Some(file) = &mut self.output.file {
+            file.step(step.at, [&step.vs_rad, &step.tc_rad]);
+        }
     }
 
     fn note(&mut self, seen: Option<Still>) -> Result<()> {
-        seen.map_or(Ok(()), |still| self.0.keep(&still))
+        seen.map_or(Ok(()), |still| self.keep(&still))
     }
 }
 
@@ -511,6 +460,7 @@ impl Record for Writing<'_, '_> {
 mod tests {
     use image::RgbImage;
     use pb3dp_geometry::ImageSize;
+    use pb3dp_servo::supervisor::FrameInput;
 
     use super::*;
 
@@ -544,28 +494,27 @@ mod tests {
     #[test]
     fn only_images_that_rest_with_the_joints_count() {
         let mut resting = Resting { exposure: EXPOSURE, step: None, sums: Sums::default(), before: None };
-        let mut judging = Judging(&mut resting);
-        let taken = |judging: &mut Judging<'_>, frame: Captured| judging.look(frame).unwrap().1.map(|still| still.stop);
+        let taken = |resting: &mut Resting, frame: Captured| resting.look(frame).unwrap().1.map(|still| still.stop);
         // No image counts before the joints are stationary.
-        assert_eq!(taken(&mut judging, frame(10, 0.0, 0.0)), None);
-        judging.moved(&step(None, 0, 0.5));
-        assert_eq!(taken(&mut judging, frame(20, 0.0, 0.0)), None);
-        judging.moved(&step(Some(3), 100, 0.1));
+        assert_eq!(taken(&mut resting, frame(10, 0.0, 0.0)), None);
+        resting.moved(&step(None, 0, 0.5));
+        assert_eq!(taken(&mut resting, frame(20, 0.0, 0.0)), None);
+        resting.moved(&step(Some(3), 100, 0.1));
         // Exposed before that, during the motion.
-        assert_eq!(taken(&mut judging, frame(102, 0.0, 0.0)), None);
+        assert_eq!(taken(&mut resting, frame(102, 0.0, 0.0)), None);
         // By the stamps one of the images was exposed during the motion.
-        assert_eq!(taken(&mut judging, frame(110, 0.0, 0.01)), None);
-        assert_eq!(taken(&mut judging, frame(130, 0.0, 0.0)), None, "the first pair has no predecessor");
-        assert_eq!(taken(&mut judging, frame(160, 0.3, 0.0)), None, "the hand still swings");
-        judging.moved(&step(Some(3), 100, 0.3));
-        let (_, still) = judging.look(frame(190, 0.3, 0.0)).unwrap();
+        assert_eq!(taken(&mut resting, frame(110, 0.0, 0.01)), None);
+        assert_eq!(taken(&mut resting, frame(130, 0.0, 0.0)), None, "the first pair has no predecessor");
+        assert_eq!(taken(&mut resting, frame(160, 0.3, 0.0)), None, "the hand still swings");
+        resting.moved(&step(Some(3), 100, 0.3));
+        let (_, still) = resting.look(frame(190, 0.3, 0.0)).unwrap();
         let still = still.expect("images and joints are stationary");
         assert_eq!(still.stop, 3);
         // The mean of both measurements.
         assert!((still.vs_rad[0] - 0.2).abs() < 1e-12 && (still.tc_rad[6] + 0.2).abs() < 1e-12);
         // The next stop starts over.
-        judging.moved(&step(Some(4), 300, 0.7));
-        assert_eq!(taken(&mut judging, frame(320, 0.3, 0.0)), None);
-        assert_eq!(taken(&mut judging, frame(350, 0.3, 0.0)), Some(4));
+        resting.moved(&step(Some(4), 300, 0.7));
+        assert_eq!(taken(&mut resting, frame(320, 0.3, 0.0)), None);
+        assert_eq!(taken(&mut resting, frame(350, 0.3, 0.0)), Some(4));
     }
 }

@@ -37,7 +37,7 @@ pub fn start(at: PanelConfig, (setup, name): (&Setup, &str), parts: &mut Parts) 
     let about = About::of_setup(setup, name, env!("CARGO_PKG_VERSION")).with_gateways(&stated);
     let (panel, operator, spectator) = Panel::start(config, clock, about)?;
     parts.operator = Box::new(operator);
-    parts.spectator = Some(Box::new(spectator));
+    parts.spectators.push(Box::new(spectator));
     let selections = panel.selections();
     if matches!(parts.camera, Sight::Images(_)) {
         selections.set_target_of_setup(&parts.marking);

@@ -39,7 +39,10 @@ fn a_run_leaves_report_summary_and_time_series() {
         finished.stdout
     );
     let page = std::fs::read_to_string(out.join("report.html")).unwrap();
-    assert!(page.contains("<svg") && page.contains("data:image/"), "plots and images are in the page itself");
+    assert!(
+        page.contains("<figure class=\"plot\">") && page.contains("data:image/"),
+        "plots and images are in the page itself"
+    );
     assert!(!page.contains("<link") && !page.contains("<script src"), "nothing is loaded from elsewhere");
     let text = std::fs::read_to_string(out.join("summary.json")).unwrap();
     let summary: serde_json::Value = serde_json::from_str(&text).unwrap();

@@ -298,7 +298,7 @@ impl Loop {
             let before = pb3dp_allocation_count::requests();
             operator.show(&decision);
             allocations += pb3dp_allocation_count::requests() - before;
-            spectator.moved(&self.moved(now, decision));
+            spectator.moved(&self.moved(now, decision), None);
             let mut seen = self.seen.lock().unwrap();
             if last.is_some_and(|last| last.state.is_moving()) && !decision.state.is_moving() {
                 seen.rested_at = Some(now);

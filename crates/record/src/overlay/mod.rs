@@ -10,9 +10,9 @@ mod text;
 pub use animation::{Animation, AnimationError, AnimationLimits};
 pub use text::{TextStyle, text, text_size};
 
-use image::{GrayImage, Rgb, RgbImage, imageops};
+use image::{Rgb, RgbImage, imageops};
 use nalgebra::Point3;
-use pb3dp_geometry::{Camera, Frame, ImageSize, Pose};
+use pb3dp_geometry::{Camera, Frame, Pose};
 
 /// Colours that are distinct on photographs and from each other.
 pub mod colors {
@@ -62,22 +62,6 @@ pub fn polygon(image: &mut RgbImage, corners_px: &[[f64; 2]], stroke: Stroke) {
     polyline(image, corners_px, stroke);
     if let [first, .., last] = corners_px {
         segment(image, *last, *first, stroke);
-    }
-}
-
-/// Fills a polygon; `opacity` from 0 (nothing) to 1.
-pub fn fill_polygon(image: &mut RgbImage, corners_px: &[[f64; 2]], color: Rgb<u8>, opacity: f64) {
-    let size = ImageSize { width: image.width(), height: image.height() };
-    mask::polygon_pixels(corners_px, size, |u, v| blend(image, u, v, color, opacity));
-}
-
-/// Tints the pixels of a mask that are not 0; `opacity` from 0 (nothing) to 1. Only the common area of image and mask is used.
-pub fn fill_mask(image: &mut RgbImage, mask: &GrayImage, color: Rgb<u8>, opacity: f64) {
-    let inside = |(u, v): (u32, u32)| u < image.width() && v < image.height();
-    let pixels: Vec<_> =
-        mask.enumerate_pixels().filter(|(.., p)| p.0[0] > 0).map(|(u, v, _)| (u, v)).filter(|p| inside(*p)).collect();
-    for (u, v) in pixels {
-        blend(image, u, v, color, opacity);
     }
 }
 
@@ -146,11 +130,6 @@ pub fn side_by_side(left: &RgbImage, right: &RgbImage) -> RgbImage {
     both
 }
 
-/// Column offset of the right image in the result of [`side_by_side`].
-pub fn right_offset_px(left: &RgbImage) -> f64 {
-    f64::from(left.width()) + 2.0
-}
-
 /// Draws a straight line with round ends; the coverage of a pixel follows from its distance to the line.
 fn segment(image: &mut RgbImage, a: [f64; 2], b: [f64; 2], stroke: Stroke) {
     let half = 0.5 * stroke.width_px;
@@ -194,7 +173,7 @@ mod tests {
     use super::*;
     use nalgebra::{UnitQuaternion, Vector3};
     use pb3dp_geometry::frames::{CamLeft, Model};
-    use pb3dp_geometry::{Distortion, Pinhole};
+    use pb3dp_geometry::{Distortion, ImageSize, Pinhole};
 
     const WHITE: Rgb<u8> = Rgb([255, 255, 255]);
 
@@ -233,15 +212,10 @@ mod tests {
     }
 
     #[test]
-    fn polygons_close_and_fill_translucently() {
+    fn polygons_close() {
         let corners = [[5.0, 5.0], [15.0, 5.0], [15.0, 12.0], [5.0, 12.0]];
         let outline = drawn(|p| polygon(p, &corners, Stroke { color: WHITE, width_px: 1.0 }));
         assert_eq!(outline.get_pixel(5, 9).0[0], 255, "the closing side");
-        let filled = drawn(|p| fill_polygon(p, &corners, Rgb([200, 100, 0]), 0.5));
-        assert_eq!((*filled.get_pixel(10, 9), *filled.get_pixel(16, 9)), (Rgb([100, 50, 0]), Rgb([0, 0, 0])));
-        let mask = GrayImage::from_fn(50, 10, |u, _| image::Luma([u8::from(u > 30)]));
-        let tinted = drawn(|p| fill_mask(p, &mask, WHITE, 1.0));
-        assert_eq!(ink(&tinted), 9.0 * 10.0);
     }
 
     #[test]
@@ -266,7 +240,6 @@ mod tests {
         let (left, right) = (RgbImage::from_pixel(5, 4, Rgb([1, 1, 1])), RgbImage::from_pixel(3, 6, Rgb([2, 2, 2])));
         let both = side_by_side(&left, &right);
         assert_eq!(both.dimensions(), (10, 6));
-        let offset = right_offset_px(&left) as u32;
-        assert_eq!((both.get_pixel(4, 3).0[0], both.get_pixel(offset, 5).0[0], both.get_pixel(0, 5).0[0]), (1, 2, 0));
+        assert_eq!((both.get_pixel(4, 3).0[0], both.get_pixel(7, 5).0[0], both.get_pixel(0, 5).0[0]), (1, 2, 0));
     }
 }

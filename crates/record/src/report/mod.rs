@@ -1,7 +1,6 @@
 //! Self-contained HTML reports: one file, no external resources, readable in light and dark mode.
 //!
-//! Line plots are SVG.
-//! Where a browser runs scripts, uPlot draws them instead, for zoom and hover; the page then permits its own script and no other.
+//! uPlot draws the line plots, with zoom and hover; a page with line plots permits this script and no other.
 //!
 //! ```
 //! use pb3dp_record::report::{LinePlot, Report, Series, SeriesColor, Table};
@@ -12,18 +11,16 @@
 //!     .table(&Table::new(["axis", "rms, mm"]).row(["x", "1.2"]))
 //!     .plot(&LinePlot::new("x", ("time", "s"), ("position", "mm")).series(series))
 //!     .to_html()?;
-//! assert!(html.contains("<svg"));
+//! assert!(html.contains("<figure class=\"plot\">"));
 //! # Ok::<(), pb3dp_record::report::ReportError>(())
 //! ```
 
-mod axis;
 mod bars;
 mod base64;
 mod image_plot;
 mod kept_rows;
 mod line_plot;
 mod plot_data;
-mod svg_file;
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -33,9 +30,7 @@ use sha2::{Digest, Sha256};
 
 pub use bars::Bars;
 pub use image_plot::{ImagePlot, VectorAt};
-use line_plot::PlotWidth;
 pub use line_plot::{LinePlot, Mark, Series, SeriesColor};
-pub use svg_file::svg_file;
 
 use crate::images::{StoredFormat, encode};
 use crate::plain_zero::plain_zero;
@@ -216,15 +211,14 @@ impl Report {
     #[must_use]
     pub fn plot(mut self, plot: &LinePlot) -> Self {
         self.has_plots = true;
-        self.add(format_args!("{}", plot.to_html(PlotWidth::PAGE, &plot_data::to_html(plot))))
+        self.add(format_args!("{}", plot.to_html()))
     }
 
     /// Plots side by side where the window is wide enough, as the panels of a figure.
     #[must_use]
     pub fn panels(mut self, plots: &[LinePlot]) -> Self {
         self.has_plots = true;
-        let panels: String =
-            plots.iter().map(|plot| plot.to_html(PlotWidth::PANEL, &plot_data::to_html(plot))).collect();
+        let panels: String = plots.iter().map(LinePlot::to_html).collect();
         self.add(format_args!("<div class=\"panels\">{panels}</div>"))
     }
 
@@ -280,19 +274,20 @@ impl Report {
         let title = escape(&self.title);
         let reload =
             self.reload_s.map_or_else(String::new, |s| format!("<meta http-equiv=\"refresh\" content=\"{s}\">\n"));
-        let [script, styles, permitted] = if self.has_plots {
+        let [script, styles, permitted, notice] = if self.has_plots {
             let hash = base64::encode(&Sha256::digest(SCRIPT));
-            let styles = include_str!("../../assets/uplot/uPlot.min.css");
-            [format!("<script>{SCRIPT}</script>\n"), styles.to_owned(), format!("'sha256-{hash}'")]
+            let styles = include_str!("../../assets/uplot/uPlot.min.css").to_owned();
+            let notice = "<noscript><p>The plots of this page need scripts: allow them.</p></noscript>\n".to_owned();
+            [format!("<script>{SCRIPT}</script>\n"), styles, format!("'sha256-{hash}'"), notice]
         } else {
-            [String::new(), String::new(), "'none'".to_owned()]
+            [String::new(), String::new(), "'none'".to_owned(), String::new()]
         };
         format!(
             "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n{reload}\
              <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; \
              style-src 'unsafe-inline'; script-src {permitted}\">\n\
              <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{title}</title>\n\
-             <style>\n{styles}\n{}</style>\n</head>\n<body>\n<main>\n<h1>{title}</h1>\n{}</main>\n{script}</body>\n</html>\n",
+             <style>\n{styles}\n{}</style>\n</head>\n<body>\n<main>\n<h1>{title}</h1>\n{notice}{}</main>\n{script}</body>\n</html>\n",
             include_str!("style.css"),
             self.body
         )

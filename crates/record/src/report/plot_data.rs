@@ -40,17 +40,17 @@ struct Column {
     steps: Vec<Option<i64>>,
 }
 
-/// The data as a script element that is not run; nothing for a plot without a point.
-pub(super) fn to_html(plot: &LinePlot) -> String {
+/// The data as a script element that is not run; none for a plot without a point.
+pub(super) fn to_html(plot: &LinePlot) -> Option<String> {
     let same_x = |a: &Series, b: &Series| a.points.iter().map(|p| p[0]).eq(b.points.iter().map(|p| p[0]));
     let tables: Vec<_> = plot.series.chunk_by(same_x).map(TableData::new).collect();
     if tables.iter().flat_map(|table| &table.lines).all(|line| line.values.steps.iter().all(Option::is_none)) {
-        return String::new();
+        return None;
     }
     let marks = plot.marks.iter().filter(|mark| mark.at.is_finite()).collect();
     let json = serde_json::json!(PlotData { x: &plot.x, y: &plot.y, marks, tables }).to_string();
     // Nothing in it can end the element.
-    format!("<script type=\"application/json\">{}</script>", json.replace('<', "\\u003c"))
+    Some(format!("<script type=\"application/json\">{}</script>", json.replace('<', "\\u003c")))
 }
 
 impl TableData {
@@ -92,7 +92,7 @@ mod tests {
     /// The data, and the element that contains it.
     fn data(lines: Vec<Series>, mark: &str) -> (serde_json::Value, String) {
         let plot = LinePlot::new("t", ("time", "s"), (mark, "mm")).mark(1.0, mark).mark(f64::NAN, "never");
-        let html = to_html(&lines.into_iter().fold(plot, LinePlot::series));
+        let html = to_html(&lines.into_iter().fold(plot, LinePlot::series)).unwrap();
         let json = html.strip_prefix("<script type=\"application/json\">").unwrap().strip_suffix("</script>").unwrap();
         (serde_json::from_str(json).unwrap(), html)
     }
@@ -128,7 +128,7 @@ mod tests {
     #[test]
     fn a_plot_without_a_value_has_no_data() {
         let plot = LinePlot::new("t", ("time", "s"), ("ratio", "")).series(line(&[[0.0, f64::NAN]]));
-        assert_eq!(to_html(&plot), "");
+        assert_eq!(to_html(&plot), None);
     }
 
     #[test]

@@ -1,5 +1,5 @@
 // @ts-check
-// Zoom and hover for the plots of a report, drawn by uPlot. Without this script the page shows the same plots as SVG.
+// The plots of a report, drawn by uPlot, with zoom and hover.
 "use strict";
 {
   /**
@@ -11,13 +11,12 @@
    */
 
   const uPlot = /** @type {any} */ (globalThis).uPlot;
-  /** Height of a plot, as that of its SVG on a wide page. */
   const HEIGHT_PX = 254;
   const MARKS_PX = 24;
   const FONT = "11px system-ui, sans-serif";
   /** The shortest span of the x axis, as a share of the whole one. */
   const SPAN_MIN = 1e-4;
-  /** Distances of ticks, as those of the SVG. */
+  /** Distances of ticks. */
   const STEPS = Array.from({ length: 25 }, (_, power) => [1, 2, 5].map((step) => Number(`${step}e${power - 12}`))).flat();
   /** Change of the span by a key, and by a pixel of the wheel. */
   const KEY_ZOOM = 2;
@@ -343,6 +342,12 @@
     axis.point(axis.whole[0]);
   }
   // Canvases do not follow the style sheet.
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () =>
-    requestAnimationFrame(() => axes.forEach((axis) => axis.plots.forEach(({ uplot }) => uplot.redraw(false, true)))));
+  const redraw = () => axes.forEach((axis) => axis.plots.forEach(({ uplot }) => uplot.redraw(false, true)));
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => requestAnimationFrame(redraw));
+  // On paper the colours are those of a light page.
+  for (const [event, isPrinted] of /** @type {const} */ ([["beforeprint", true], ["afterprint", false]]))
+    addEventListener(event, () => {
+      document.documentElement.classList.toggle("printed", isPrinted);
+      redraw();
+    });
 }

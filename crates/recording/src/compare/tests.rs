@@ -309,7 +309,7 @@ fn a_page_and_a_table_are_written() {
     let found = compared(&a, &b);
     let [page, table] = found.write(&folder.path().join("new")).unwrap();
     let page = std::fs::read_to_string(page).unwrap();
-    assert!(page.contains("the runs differ") && page.matches("<svg").count() > 10);
+    assert!(page.contains("the runs differ") && page.matches("<figure class=\"plot\">").count() > 10);
     let table = std::fs::read_to_string(table).unwrap();
     let lines: Vec<Vec<&str>> = table.lines().map(|line| line.split(',').collect()).collect();
     assert_eq!(lines.len(), 4);

@@ -8,7 +8,6 @@
 mod arm;
 mod differences;
 mod past;
-mod reporting;
 mod source;
 
 use std::collections::{BTreeMap, VecDeque};
@@ -25,14 +24,14 @@ use pb3dp_bag::sinks::Sinks;
 use pb3dp_cell::capturing::Captured;
 use pb3dp_cell::follower::Follower;
 use pb3dp_cell::halves::Mover;
-use pb3dp_cell::journal::{Outcome, TruePoses};
+use pb3dp_cell::journal::{Journal, Outcome, TruePoses};
 use pb3dp_cell::looking::Estimating;
 use pb3dp_cell::moving::{Moved, Moving};
 use pb3dp_cell::noting::PairEstimate;
 use pb3dp_cell::percept::Percept;
 use pb3dp_cell::perception::{Perception, View};
 use pb3dp_cell::selection::{Choice, Selection, Selections};
-use pb3dp_cell::spectator::{RunEnd, RunRecorder};
+use pb3dp_cell::spectator::{RunEnd, Spectator};
 use pb3dp_cell::true_surface::TrueSurface;
 use pb3dp_estimation::estimator::FramePrior;
 use pb3dp_geometry::MonotonicTime;
@@ -45,7 +44,6 @@ use pb3dp_sim::trajectory::Trajectory;
 use self::arm::{SharedScript, has_begin};
 pub use self::differences::{Compared, Differences, First, Kind};
 use self::past::Past;
-use self::reporting::Reporting;
 use self::source::{DecodeOptions, Item, RecordedPair, RecordedRun};
 use crate::estimates::{is_same_estimate, pair_result, recorded_estimate, recorded_model};
 use crate::exact::{marking, of_pose_if_any, percept, pose_if_any, region, same_bits};
@@ -162,7 +160,10 @@ impl Opened {
             heard = tapped;
         }
         let begin = MonotonicTime::from_nanos(run.begin.begin_nanos);
-        let reporting = if reports { Some(Reporting::new(setup, &*experiment, &run.begin)?) } else { None };
+        let journal = match reports {
+            true => Some(Journal::new(setup, &*experiment, person, (begin, experiment.duration_s()))?.quiet()),
+            false => None,
+        };
         let surface = if reports { TrueSurface::of(setup)? } else { None };
         let moving = Moving::new(setup, (heard.vs, heard.tc), &*experiment, begin)?.with_operator(heard.operator);
         let estimating = if anew { Some(estimating(setup, run)?) } else { None };
@@ -178,7 +179,7 @@ impl Opened {
             moving,
             estimating,
             recording,
-            reporting,
+            journal,
             surface,
             past: Past::default(),
             end: None,
@@ -274,8 +275,9 @@ struct Replay<'a> {
     script: SharedScript,
     moving: Moving<'a>,
     estimating: Option<(Estimating<'a>, Selections)>,
-    recording: Option<Box<dyn RunRecorder>>,
-    reporting: Option<Reporting<'a>>,
+    recording: Option<Box<dyn Spectator>>,
+    /// The history of the run, for a report.
+    journal: Option<Journal<'a>>,
     /// The true surface of a simulated target, for a report.
     surface: Option<TrueSurface>,
     /// The control, if it cannot be replayed.
@@ -370,8 +372,8 @@ impl Replay<'_> {
         if let Some(recording) = &mut self.recording {
             recording.seen(&seen);
         }
-        if let Some(reporting) = &mut self.reporting {
-            reporting.seen(&seen)?;
+        if let Some(journal) = &mut self.journal {
+            journal.note_pair(&seen)?;
         }
         Ok(())
     }
@@ -434,7 +436,7 @@ impl Replay<'_> {
         if self.progress.control_is_over {
             return Ok(());
         }
-        if is_first && self.estimating.is_none() && self.reporting.is_some() && !has_begin(&step) {
+        if is_first && self.estimating.is_none() && self.journal.is_some() && !has_begin(&step) {
             self.past.begins_s = Some(t_s);
         }
         if self.past.begins_s.is_some() {
@@ -469,15 +471,15 @@ impl Replay<'_> {
 
     /// Keeps a step for the report that cannot be replayed.
     fn as_recorded(&mut self, step: &ControlStep) -> Result<()> {
-        let Some(reporting) = &mut self.reporting else { return Ok(()) };
+        let Some(journal) = &mut self.journal else { return Ok(()) };
         if let Some(recorded) = self.past.step(step)? {
-            reporting.recorded(recorded, true_poses(step)?);
+            journal.note_recorded(recorded, true_poses(step)?);
         }
         Ok(())
     }
 
     fn event(&mut self, line: &LogLine) {
-        if self.reporting.is_some() {
+        if self.journal.is_some() {
             let at_nanos = line.stamp.nanos().saturating_sub(self.since_1970_nanos);
             self.past.event(line, self.t_s(at_nanos));
         }
@@ -509,14 +511,19 @@ impl Replay<'_> {
         if let Some(recording) = &mut self.recording {
             recording.moved(moved, poses);
         }
-        if let Some(reporting) = &mut self.reporting {
-            reporting.moved(moved, poses);
+        if let Some(journal) = &mut self.journal {
+            journal.note(moved, poses);
         }
     }
 
-    fn finish(self, version: String, is_led_by_person: bool) -> Result<Replayed> {
-        if let Some(recording) = self.recording {
-            recording.finish(&self.end.clone().unwrap_or_default())?;
+    fn finish(mut self, version: String, is_led_by_person: bool) -> Result<Replayed> {
+        let end = self.end.clone().unwrap_or_default();
+        if let Some(recording) = self.recording.take() {
+            recording.finish(&end)?;
+        }
+        if let (Some(journal), Some(_)) = (&mut self.journal, self.past.begins_s) {
+            // The changes of state of a control that was not replayed are those of the recording.
+            self.past.changes.into_iter().for_each(|change| journal.note_change(change));
         }
         let Progress { steps, pairs, last_at, .. } = self.progress;
         if steps == 0 {
@@ -531,7 +538,7 @@ impl Replay<'_> {
             notes: self.notes,
             is_led_by_person,
             begins_s: self.past.begins_s,
-            outcome: self.reporting.map(|reporting| reporting.finish(self.end.as_ref(), self.past)),
+            outcome: self.journal.map(|journal| journal.finish(end)),
             end: self.end,
         })
     }
