@@ -1,10 +1,8 @@
-//! Errors of the estimators, and the declaration of allowed values.
-
-use std::fmt::Display;
-use std::ops::RangeInclusive;
+//! Errors of the estimators.
 
 use crate::image_view::ImageView;
 use pb3dp_geometry::StereoRig;
+use pb3dp_geometry::ranges::OutOfRange;
 
 /// Why an estimation request was rejected. A pose that cannot be determined is not an error but a [`crate::status::Status`].
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -92,30 +90,10 @@ pub enum EstimationError {
     },
 }
 
-/// Rejects a parameter out of range, or NaN.
-///
-/// # Errors
-/// The parameter with its value and range.
-pub fn check_range<T: PartialOrd + Display>(
-    name: &'static str,
-    value: T,
-    allowed: RangeInclusive<T>,
-) -> Result<(), EstimationError> {
-    if allowed.contains(&value) {
-        return Ok(());
+impl From<OutOfRange> for EstimationError {
+    fn from(OutOfRange { name, value, min, max }: OutOfRange) -> Self {
+        Self::Parameter { name, value, expected: format!("must be between {min} and {max}") }
     }
-    let expected = format!("must be between {} and {}", allowed.start(), allowed.end());
-    Err(EstimationError::Parameter { name, value: value.to_string(), expected })
-}
-
-/// Declares the allowed values of parameters, as constants of the type that has the parameters. This is the only statement of a
-/// range: the check of the type and the files of a setup refer to it.
-#[macro_export]
-macro_rules! ranges {
-    ($($name:ident: $number:ty = $range:expr;)*) => {$(
-        #[doc = concat!("Allowed values of the parameter `", stringify!($name), "`.")]
-        pub const $name: std::ops::RangeInclusive<$number> = $range;
-    )*};
 }
 
 /// Rejects raw images with a size other than the calibration's.

@@ -10,10 +10,9 @@
 use std::ops::RangeInclusive;
 
 use nalgebra::{Matrix3, Vector2, Vector3};
-use pb3dp_geometry::{Distortion, ImageSize, Pinhole, StereoRig};
+use pb3dp_geometry::{Distortion, ImageSize, Pinhole, StereoRig, ranges};
 
-use crate::error::{EstimationError, check_range};
-use crate::ranges;
+use crate::error::EstimationError;
 use crate::trig;
 
 /// psi of the paper: depth of the model's origin and two tilts of the model's plane.
@@ -200,8 +199,9 @@ pub struct SearchRange {
 
 impl SearchRange {
     ranges! {
-        Z_M: f64 = 1e-3..=1e3;
-        TILT_MAX_RAD: f64 = 0.0..=85f64.to_radians();
+        fn check_ranges "search range ";
+        z_min_m, Z_M: f64 = 1e-3..=1e3;
+        tilt_max_rad, TILT_MAX_RAD: f64 = 0.0..=85f64.to_radians();
     }
 
     /// Least depth of a range, metres: chosen, a range of one depth has nothing to search.
@@ -229,9 +229,8 @@ impl SearchRange {
     /// # Errors
     /// The parameter that is out of its range.
     pub fn validate(&self) -> Result<(), EstimationError> {
-        check_range("search range z_min_m", self.z_min_m, Self::Z_M)?;
-        check_range("search range z_max_m", self.z_max_m, self.z_max_m_allowed())?;
-        check_range("search range tilt_max_rad", self.tilt_max_rad, Self::TILT_MAX_RAD)
+        self.check_ranges()?;
+        Ok(ranges::check_range("search range z_max_m", self.z_max_m, self.z_max_m_allowed())?)
     }
 
     /// Whether a hypothesis is in the range (with a tolerance of 1e-9 for rounding).

@@ -9,8 +9,7 @@ mod levels;
 
 use nalgebra::Vector2;
 use pb3dp_estimation_core::cpu::Kernels;
-use pb3dp_estimation_core::error::{EstimationError, check_range};
-use pb3dp_estimation_core::ranges;
+use pb3dp_geometry::ranges;
 
 pub use self::elsewhere::COPY_SCORE_MIN;
 use super::beyond::Beyond;
@@ -82,23 +81,20 @@ impl ColdStartConfig {
     }
 
     ranges! {
-        QUICK_AREA_PX: usize = 200..=1_000_000;
-        QUICK_SHARE_MIN: f64 = 0.0..=1.0;
-        SEARCH_AREA_PX: usize = 200..=1_000_000;
-        PATCH_AREA_PX: usize = 200..=1_000_000;
-        SURROUNDINGS_PX: usize = 0..=reach::REACH_MAX_PX;
+        fn check_ranges "direct.cold_start.";
+        quick_area_px, QUICK_AREA_PX: usize = 200..=1_000_000;
+        quick_share_min, QUICK_SHARE_MIN: f64 = 0.0..=1.0;
+        search_area_px, SEARCH_AREA_PX: usize = 200..=1_000_000;
+        patch_area_px, PATCH_AREA_PX: usize = 200..=1_000_000;
+        surroundings_px, SURROUNDINGS_PX: usize = 0..=reach::REACH_MAX_PX;
     }
 
     /// Checks all ranges.
     ///
     /// # Errors
     /// The parameter that is out of its range.
-    pub fn validate(&self) -> Result<(), EstimationError> {
-        check_range("direct.search.area_max_px", self.search_area_px, Self::SEARCH_AREA_PX)?;
-        check_range("direct.search.quick_area_max_px", self.quick_area_px, Self::QUICK_AREA_PX)?;
-        check_range("direct.patches.area_max_px", self.patch_area_px, Self::PATCH_AREA_PX)?;
-        check_range("direct.search.quick_share_min", self.quick_share_min, Self::QUICK_SHARE_MIN)?;
-        check_range("direct.refine.surroundings_px", self.surroundings_px, Self::SURROUNDINGS_PX)?;
+    pub fn validate(&self) -> Result<(), ranges::OutOfRange> {
+        self.check_ranges()?;
         self.search.validate()?;
         self.patches.validate()?;
         self.refine.validate()
@@ -107,24 +103,14 @@ impl ColdStartConfig {
 
 impl RefineConfig {
     ranges! {
-        AREA_MAX_PX: usize = 200..=1_000_000;
-        POINTS_MAX: usize = 100..=1_000_000;
-        ITERATIONS_MAX: usize = 1..=100;
-        PLACE_SIGMA_PX: f64 = 0.0..=2.0;
-        ROW_SIGMA_PX: f64 = 0.0..=5.0;
-        CALIBRATION_SIGMA_PX: f64 = 0.0..=5.0;
-        BLUR_SIGMA_PX2: f64 = 0.0..=5.0;
-    }
-
-    /// Checks the ranges of the parameters that can be configured.
-    fn validate(&self) -> Result<(), EstimationError> {
-        check_range("direct.refine.area_max_px", self.area_max_px, Self::AREA_MAX_PX)?;
-        check_range("direct.refine.points_max", self.points_max, Self::POINTS_MAX)?;
-        check_range("direct.refine.iterations_max", self.iterations_max, Self::ITERATIONS_MAX)?;
-        check_range("direct.refine.place_sigma_px", self.place_sigma_px, Self::PLACE_SIGMA_PX)?;
-        check_range("direct.refine.row_sigma_px", self.row_sigma_px, Self::ROW_SIGMA_PX)?;
-        check_range("direct.refine.calibration_sigma_px", self.calibration_sigma_px, Self::CALIBRATION_SIGMA_PX)?;
-        check_range("direct.refine.blur_sigma_px2", self.blur_sigma_px2, Self::BLUR_SIGMA_PX2)
+        fn validate "direct.refine.";
+        area_max_px, AREA_MAX_PX: usize = 200..=1_000_000;
+        points_max, POINTS_MAX: usize = 100..=1_000_000;
+        iterations_max, ITERATIONS_MAX: usize = 1..=100;
+        place_sigma_px, PLACE_SIGMA_PX: f64 = 0.0..=2.0;
+        row_sigma_px, ROW_SIGMA_PX: f64 = 0.0..=5.0;
+        calibration_sigma_px, CALIBRATION_SIGMA_PX: f64 = 0.0..=5.0;
+        blur_sigma_px2, BLUR_SIGMA_PX2: f64 = 0.0..=5.0;
     }
 }
 

@@ -50,7 +50,7 @@ impl DirectConfig {
     /// The parameter that is out of its range.
     pub fn validate(&self) -> Result<(), EstimationError> {
         self.cold_start.validate()?;
-        self.verdict.validate()
+        Ok(self.verdict.validate()?)
     }
 }
 

@@ -10,9 +10,8 @@ mod fit;
 mod kernels;
 
 use pb3dp_estimation_core::cpu::Kernels;
-use pb3dp_estimation_core::error::{EstimationError, check_range};
-use pb3dp_estimation_core::ranges;
 use pb3dp_estimation_core::wide::{LANES, sum_lanes, wide};
+use pb3dp_geometry::ranges;
 
 use self::closest::Sampled;
 use self::fit::{PatchVotes, fit_votes};
@@ -67,23 +66,12 @@ impl Default for PatchConfig {
 
 impl PatchConfig {
     ranges! {
-        REACH: usize = 1..=REACH_MAX;
-        SUPPORT_PX: f64 = 0.1..=2.0;
-        CORRELATION_MIN: f64 = 0.0..=1.0;
-        TEXTURE_MIN: f64 = 0.0..=100.0;
-        GRADIENT_HALF: f64 = 0.0..=100.0;
-    }
-
-    /// Checks all ranges.
-    ///
-    /// # Errors
-    /// The parameter that is out of its range.
-    pub fn validate(&self) -> Result<(), EstimationError> {
-        check_range("direct.patches.reach_px", self.reach, Self::REACH)?;
-        check_range("direct.patches.support_px", self.support_px, Self::SUPPORT_PX)?;
-        check_range("direct.patches.correlation_min", self.correlation_min, Self::CORRELATION_MIN)?;
-        check_range("direct.patches.texture_min", self.texture_min, Self::TEXTURE_MIN)?;
-        check_range("direct.patches.gradient_half", self.gradient_half, Self::GRADIENT_HALF)
+        pub fn validate "direct.patches.";
+        reach, REACH: usize = 1..=REACH_MAX;
+        support_px, SUPPORT_PX: f64 = 0.1..=2.0;
+        correlation_min, CORRELATION_MIN: f64 = 0.0..=1.0;
+        texture_min, TEXTURE_MIN: f64 = 0.0..=100.0;
+        gradient_half, GRADIENT_HALF: f64 = 0.0..=100.0;
     }
 }
 

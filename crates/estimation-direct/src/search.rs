@@ -9,9 +9,8 @@ use std::ops::RangeInclusive;
 
 use nalgebra::{Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
-use pb3dp_estimation_core::error::{EstimationError, check_range};
-use pb3dp_estimation_core::ranges;
 use pb3dp_estimation_core::wide::wide;
+use pb3dp_geometry::ranges;
 
 use self::aggregate::{Aggregation, Penalties, WinnerRules};
 use self::continued::{Continuation, ContinuedSurface};
@@ -62,28 +61,28 @@ impl Default for PlaneSearchConfig {
 
 impl PlaneSearchConfig {
     ranges! {
-        NOISE: f64 = 0.1..=50.0;
+        fn check_ranges "direct.search.";
+        noise, NOISE: f64 = 0.1..=50.0;
     }
 
     /// Checks all ranges.
     ///
     /// # Errors
     /// The parameter that is out of its range.
-    pub fn validate(&self) -> Result<(), EstimationError> {
+    pub fn validate(&self) -> Result<(), ranges::OutOfRange> {
         let Penalties { small, large } = self.penalties;
-        check_range("direct.search.noise_grey", self.noise, Self::NOISE)?;
-        check_range("direct.search.penalty_large", large, 1..=120)?;
-        check_range("direct.search.penalty_small", small, 0..=large)?;
-        let HypothesisRules { draws, tolerance_px, .. } = self.hypotheses;
-        check_range("direct.search.tolerance_px", tolerance_px, HypothesisRules::TOLERANCE_PX)?;
-        check_range("direct.search.draws", draws, HypothesisRules::DRAWS)
+        self.check_ranges()?;
+        ranges::check_range("direct.search.penalty_large", large, 1..=120)?;
+        ranges::check_range("direct.search.penalty_small", small, 0..=large)?;
+        self.hypotheses.validate()
     }
 }
 
 impl HypothesisRules {
     ranges! {
-        DRAWS: usize = 1..=100_000;
-        TOLERANCE_PX: f64 = 0.1..=5.0;
+        fn validate "direct.search.";
+        draws, DRAWS: usize = 1..=100_000;
+        tolerance_px, TOLERANCE_PX: f64 = 0.1..=5.0;
     }
 }
 

@@ -1,9 +1,8 @@
 //! Status of an estimate of the direct method, and its reason.
 
-use pb3dp_estimation_core::error::{EstimationError, check_range};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
-use pb3dp_estimation_core::ranges;
 use pb3dp_estimation_core::status::{Status, Verdict};
+use pb3dp_geometry::ranges;
 
 use crate::disparity_plane::DisparityPlane;
 use crate::outcome::{ColdStartOutcome, Rival, support_of};
@@ -42,23 +41,12 @@ impl Default for DirectVerdictConfig {
 
 impl DirectVerdictConfig {
     ranges! {
-        SUPPORT_MIN: f64 = 0.0..=1.0;
-        SUPPORT_SURE_MIN: f64 = 0.0..=1.0;
-        ALIAS_SCORE_MAX: f64 = 0.0..=1.0;
-        SECOND_SHARE_MAX: f64 = 0.0..=1.0;
-        NORMAL_SIGMA_MAX_DEG: f64 = 0.0..=90.0;
-    }
-
-    /// Checks all ranges.
-    ///
-    /// # Errors
-    /// The parameter that is out of its range.
-    pub fn validate(&self) -> Result<(), EstimationError> {
-        check_range("direct.status.support_min", self.support_min, Self::SUPPORT_MIN)?;
-        check_range("direct.status.support_sure_min", self.support_sure_min, Self::SUPPORT_SURE_MIN)?;
-        check_range("direct.status.alias_score_max", self.alias_score_max, Self::ALIAS_SCORE_MAX)?;
-        check_range("direct.status.second_share_max", self.second_share_max, Self::SECOND_SHARE_MAX)?;
-        check_range("direct.status.normal_sigma_max_deg", self.normal_sigma_max_deg, Self::NORMAL_SIGMA_MAX_DEG)
+        pub fn validate "direct.status.";
+        support_min, SUPPORT_MIN: f64 = 0.0..=1.0;
+        support_sure_min, SUPPORT_SURE_MIN: f64 = 0.0..=1.0;
+        alias_score_max, ALIAS_SCORE_MAX: f64 = 0.0..=1.0;
+        second_share_max, SECOND_SHARE_MAX: f64 = 0.0..=1.0;
+        normal_sigma_max_deg, NORMAL_SIGMA_MAX_DEG: f64 = 0.0..=90.0;
     }
 }
 

@@ -9,14 +9,14 @@
 
 use nalgebra::Vector2;
 use pb3dp_estimation_core::cpu::Kernels;
-use pb3dp_estimation_core::error::{EstimationError, check_range};
+use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose};
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, MarkedTarget};
 use pb3dp_estimation_core::plane_hypothesis::{PlaneHypothesis, SearchRange};
-use pb3dp_estimation_core::ranges;
 use pb3dp_estimation_core::region::RegionConfig;
 use pb3dp_estimation_core::status::{Status, Verdict};
 use pb3dp_geometry::StereoRig;
+use pb3dp_geometry::ranges::{self, check_range};
 
 use crate::fitness::FitnessConfig;
 use crate::hue::HueConfig;
@@ -111,13 +111,9 @@ pub struct HueSupportConfig {
 
 impl HueSupportConfig {
     ranges! {
-        COLOURED_SHARE_MIN: f64 = 0.0..=1.0;
-        POINTS_MIN: usize = 1..=20_000;
-    }
-
-    fn validate(&self) -> Result<(), EstimationError> {
-        check_range("hue support coloured_share_min", self.coloured_share_min, Self::COLOURED_SHARE_MIN)?;
-        check_range("hue support points_min", self.points_min, Self::POINTS_MIN)
+        fn validate "hue support ";
+        coloured_share_min, COLOURED_SHARE_MIN: f64 = 0.0..=1.0;
+        points_min, POINTS_MIN: usize = 1..=20_000;
     }
 }
 
@@ -140,7 +136,7 @@ impl PublishedConfig {
         check_range("RM-GA generations", self.cold_start.generations, RmGaConfig::GENERATIONS)?;
         self.observability.validate()?;
         self.tracker.validate()?;
-        self.hue_support.validate()
+        Ok(self.hue_support.validate()?)
     }
 
     /// The limits for estimates whose depth is roughly known from the previous frame.

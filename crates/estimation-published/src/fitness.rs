@@ -13,9 +13,9 @@
 //! number of hypotheses from any number of threads.
 
 use pb3dp_estimation_core::cpu::Kernels;
-use pb3dp_estimation_core::error::{EstimationError, check_range};
+use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::plane_hypothesis::{PinholePair, PlaneHypothesis, SearchRange};
-use pb3dp_estimation_core::ranges;
+use pb3dp_geometry::ranges;
 
 use crate::hue::HuePlane;
 use crate::photo_model::PhotoModel;
@@ -59,15 +59,8 @@ impl Default for FitnessConfig {
 
 impl FitnessConfig {
     ranges! {
-        HUE_TOLERANCE_DEG: f64 = 0.0..=180.0;
-    }
-
-    /// Checks the ranges.
-    ///
-    /// # Errors
-    /// A tolerance outside 0 to 180 degrees.
-    pub fn validate(&self) -> Result<(), EstimationError> {
-        check_range("fitness hue_tolerance_deg", self.hue_tolerance_deg, Self::HUE_TOLERANCE_DEG)
+        pub fn validate "fitness ";
+        hue_tolerance_deg, HUE_TOLERANCE_DEG: f64 = 0.0..=180.0;
     }
 
     /// The tolerance in steps of 1/65536 turn. Both hues are rounded to 1/32768 turn, so the tolerance includes one such step.
@@ -149,7 +142,7 @@ fn check_right_image(pair: &PinholePair, right: &HuePlane) -> Result<(), Estimat
         ("right image width (px; scale larger images down)", expected.width),
         ("right image height (px; scale larger images down)", expected.height),
     ] {
-        check_range(name, side, 1..=IMAGE_SIDE_MAX_PX)?;
+        ranges::check_range(name, side, 1..=IMAGE_SIDE_MAX_PX)?;
     }
     Ok(())
 }

@@ -4,10 +4,9 @@
 //! The lowest bit indicates whether the pixel has a hue, which leaves steps of 0.011 degrees.
 
 use pb3dp_estimation_core::cpu::Kernels;
-use pb3dp_estimation_core::error::{EstimationError, check_range};
 use pb3dp_estimation_core::image_view::ImageView;
-use pb3dp_estimation_core::ranges;
 use pb3dp_estimation_core::wide::wide;
+use pb3dp_geometry::ranges;
 
 /// Number of padding elements before and after the pixels, so that kernels may read a whole vector at either end.
 pub(crate) const PAD: usize = 64;
@@ -35,17 +34,9 @@ impl Default for HueConfig {
 
 impl HueConfig {
     ranges! {
-        SATURATION_MIN: f64 = 0.0..=1.0;
-        VALUE_MIN: f64 = 0.0..=1.0;
-    }
-
-    /// Checks the ranges.
-    ///
-    /// # Errors
-    /// A gate outside 0 to 1.
-    pub fn validate(&self) -> Result<(), EstimationError> {
-        check_range("hue saturation_min", self.saturation_min, Self::SATURATION_MIN)?;
-        check_range("hue value_min", self.value_min, Self::VALUE_MIN)
+        pub fn validate "hue ";
+        saturation_min, SATURATION_MIN: f64 = 0.0..=1.0;
+        value_min, VALUE_MIN: f64 = 0.0..=1.0;
     }
 
     /// The gates as integers for the kernels; values out of range are clamped.

@@ -8,9 +8,9 @@
 //! cannot detect a bias common to all points (a wrong calibration, relief). The spreads are therefore not reported as standard
 //! deviations.
 
-use pb3dp_estimation_core::error::{EstimationError, check_range};
-use pb3dp_estimation_core::ranges;
+use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::status::{Status, Verdict};
+use pb3dp_geometry::ranges;
 
 use crate::search::Found;
 
@@ -79,41 +79,21 @@ impl Default for ObservabilityConfig {
 
 impl ObservabilityConfig {
     ranges! {
-        DISPARITY_STEP_PX: f64 = 0.1..=20.0;
-        DEPTH_NODES_MAX: usize = 8..=1024;
-        COARSE_TILT_STEP_RAD: f64 = 1f64.to_radians()..=45f64.to_radians();
-        FINE_TILT_STEP_RAD: f64 = 0.5f64.to_radians()..=45f64.to_radians();
-        BLOCKS_PER_SIDE: u32 = 2..=8;
-        RESAMPLES: usize = 4..=1000;
-        CANDIDATES_MAX: usize = 100..=100_000;
-        FITNESS_TOLERANCE: f64 = 0.0..=1.0;
-        HEIGHT_MIN: f64 = 0.0..=1.0;
-        DEPTH_SPREAD_MAX: f64 = 0.0..=1.0;
-        DEPTH_SPREAD_SURE: f64 = 0.0..=1.0;
-        RUNNER_UP_MAX: f64 = 0.0..=1.0;
-        FITNESS_SURE: f64 = 0.0..=1.0;
-        TILT_SPREAD_SURE_RAD: f64 = 0.3f64.to_radians()..=85f64.to_radians();
-    }
-
-    /// Checks the ranges.
-    ///
-    /// # Errors
-    /// The parameter that is out of its range.
-    pub fn validate(&self) -> Result<(), EstimationError> {
-        check_range("probe disparity_step_px", self.disparity_step_px, Self::DISPARITY_STEP_PX)?;
-        check_range("probe depth_nodes_max", self.depth_nodes_max, Self::DEPTH_NODES_MAX)?;
-        check_range("probe coarse_tilt_step_rad", self.coarse_tilt_step_rad, Self::COARSE_TILT_STEP_RAD)?;
-        check_range("probe fine_tilt_step_rad", self.fine_tilt_step_rad, Self::FINE_TILT_STEP_RAD)?;
-        check_range("probe tilt_spread_sure_rad", self.tilt_spread_sure_rad, Self::TILT_SPREAD_SURE_RAD)?;
-        check_range("probe blocks_per_side", self.blocks_per_side, Self::BLOCKS_PER_SIDE)?;
-        check_range("probe resamples", self.resamples, Self::RESAMPLES)?;
-        check_range("probe candidates_max", self.candidates_max, Self::CANDIDATES_MAX)?;
-        check_range("probe fitness_tolerance", self.fitness_tolerance, Self::FITNESS_TOLERANCE)?;
-        check_range("probe height_min", self.height_min, Self::HEIGHT_MIN)?;
-        check_range("probe depth_spread_max", self.depth_spread_max, Self::DEPTH_SPREAD_MAX)?;
-        check_range("probe depth_spread_sure", self.depth_spread_sure, Self::DEPTH_SPREAD_SURE)?;
-        check_range("probe fitness_sure", self.fitness_sure, Self::FITNESS_SURE)?;
-        check_range("probe runner_up_max", self.runner_up_max, Self::RUNNER_UP_MAX)
+        pub fn validate "probe ";
+        disparity_step_px, DISPARITY_STEP_PX: f64 = 0.1..=20.0;
+        depth_nodes_max, DEPTH_NODES_MAX: usize = 8..=1024;
+        coarse_tilt_step_rad, COARSE_TILT_STEP_RAD: f64 = 1f64.to_radians()..=45f64.to_radians();
+        fine_tilt_step_rad, FINE_TILT_STEP_RAD: f64 = 0.5f64.to_radians()..=45f64.to_radians();
+        blocks_per_side, BLOCKS_PER_SIDE: u32 = 2..=8;
+        resamples, RESAMPLES: usize = 4..=1000;
+        candidates_max, CANDIDATES_MAX: usize = 100..=100_000;
+        fitness_tolerance, FITNESS_TOLERANCE: f64 = 0.0..=1.0;
+        height_min, HEIGHT_MIN: f64 = 0.0..=1.0;
+        depth_spread_max, DEPTH_SPREAD_MAX: f64 = 0.0..=1.0;
+        depth_spread_sure, DEPTH_SPREAD_SURE: f64 = 0.0..=1.0;
+        runner_up_max, RUNNER_UP_MAX: f64 = 0.0..=1.0;
+        fitness_sure, FITNESS_SURE: f64 = 0.0..=1.0;
+        tilt_spread_sure_rad, TILT_SPREAD_SURE_RAD: f64 = 0.3f64.to_radians()..=85f64.to_radians();
     }
 
     /// The status that follows from the spread near the estimate, with its reason. It does not consider other peaks.

@@ -7,9 +7,8 @@
 //! normalisation.
 
 use nalgebra::Vector2;
-use pb3dp_estimation_core::error::{EstimationError, check_range};
-use pb3dp_estimation_core::ranges;
 use pb3dp_estimation_core::region::RegionMask;
+use pb3dp_geometry::ranges;
 
 use crate::hue::{Hue, HuePlane};
 
@@ -37,23 +36,12 @@ impl Default for PhotoModelConfig {
 
 impl PhotoModelConfig {
     ranges! {
-        INNER_POINTS: u32 = 1..=20_000;
-        OUTER_POINTS: u32 = 0..=20_000;
-        SPACING_MIN_PX: u32 = 1..=100;
-        BAND_GAP_PX: u32 = 0..=200;
-        BAND_WIDTH_PX: u32 = 1..=200;
-    }
-
-    /// Checks the ranges.
-    ///
-    /// # Errors
-    /// The parameter that is out of its range.
-    pub fn validate(&self) -> Result<(), EstimationError> {
-        check_range("photo model inner_points", self.inner_points, Self::INNER_POINTS)?;
-        check_range("photo model outer_points", self.outer_points, Self::OUTER_POINTS)?;
-        check_range("photo model spacing_min_px", self.spacing_min_px, Self::SPACING_MIN_PX)?;
-        check_range("photo model band_gap_px", self.band_gap_px, Self::BAND_GAP_PX)?;
-        check_range("photo model band_width_px", self.band_width_px, Self::BAND_WIDTH_PX)
+        pub fn validate "photo model ";
+        inner_points, INNER_POINTS: u32 = 1..=20_000;
+        outer_points, OUTER_POINTS: u32 = 0..=20_000;
+        spacing_min_px, SPACING_MIN_PX: u32 = 1..=100;
+        band_gap_px, BAND_GAP_PX: u32 = 0..=200;
+        band_width_px, BAND_WIDTH_PX: u32 = 1..=200;
     }
 }
 

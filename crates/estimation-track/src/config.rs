@@ -1,7 +1,6 @@
 //! Parameters of the tracker.
 
-use pb3dp_estimation_core::error::{EstimationError, check_range};
-use pb3dp_estimation_core::ranges;
+use pb3dp_geometry::ranges;
 
 /// Parameters of the direct tracker.
 ///
@@ -57,34 +56,17 @@ impl Default for DirectTrackerConfig {
 
 impl DirectTrackerConfig {
     ranges! {
-        POINTS: usize = 64..=16_384;
-        EROSION_PX: u32 = 0..=50;
-        STEPS_MAX: usize = 1..=50;
-        VIEWS_MAX: usize = 1..=100;
-        VIEW_TURN_DEG: f64 = 2.0..=60.0;
-        VIEW_SCALE: f64 = 1.05..=4.0;
-        RELIEF_SIGMA_PX: f64 = 0.0..=10.0;
-        INLIER_SHARE_MIN: f64 = 0.05..=0.95;
-        CORRELATION_MIN: f64 = 0.0..=1.0;
-        TILT_SIGMA_SURE_DEG: f64 = 0.01..=90.0;
-        ROLLING_SHUTTER_MILLIS: f64 = 0.0..=100.0;
-    }
-
-    /// Checks all ranges.
-    ///
-    /// # Errors
-    /// The parameter that is out of its range.
-    pub fn validate(&self) -> Result<(), EstimationError> {
-        check_range("direct.tracker.points", self.points, Self::POINTS)?;
-        check_range("direct.tracker.erosion_px", self.erosion_px, Self::EROSION_PX)?;
-        check_range("direct.tracker.steps_max", self.steps_max, Self::STEPS_MAX)?;
-        check_range("direct.tracker.views_max", self.views_max, Self::VIEWS_MAX)?;
-        check_range("direct.tracker.view_turn_deg", self.view_turn_deg, Self::VIEW_TURN_DEG)?;
-        check_range("direct.tracker.view_scale", self.view_scale, Self::VIEW_SCALE)?;
-        check_range("direct.tracker.relief_sigma_px", self.relief_sigma_px, Self::RELIEF_SIGMA_PX)?;
-        check_range("direct.tracker.inlier_share_min", self.inlier_share_min, Self::INLIER_SHARE_MIN)?;
-        check_range("direct.tracker.correlation_min", self.correlation_min, Self::CORRELATION_MIN)?;
-        check_range("direct.tracker.tilt_sigma_sure_deg", self.tilt_sigma_sure_deg, Self::TILT_SIGMA_SURE_DEG)?;
-        check_range("direct.tracker.rolling_shutter_millis", self.rolling_shutter_millis, Self::ROLLING_SHUTTER_MILLIS)
+        pub fn validate "direct.tracker.";
+        points, POINTS: usize = 64..=16_384;
+        erosion_px, EROSION_PX: u32 = 0..=50;
+        steps_max, STEPS_MAX: usize = 1..=50;
+        views_max, VIEWS_MAX: usize = 1..=100;
+        view_turn_deg, VIEW_TURN_DEG: f64 = 2.0..=60.0;
+        view_scale, VIEW_SCALE: f64 = 1.05..=4.0;
+        relief_sigma_px, RELIEF_SIGMA_PX: f64 = 0.0..=10.0;
+        inlier_share_min, INLIER_SHARE_MIN: f64 = 0.05..=0.95;
+        correlation_min, CORRELATION_MIN: f64 = 0.0..=1.0;
+        tilt_sigma_sure_deg, TILT_SIGMA_SURE_DEG: f64 = 0.01..=90.0;
+        rolling_shutter_millis, ROLLING_SHUTTER_MILLIS: f64 = 0.0..=100.0;
     }
 }

@@ -6,12 +6,13 @@
 //!
 //! Main types: [`Pose`] (a rigid transform `a_from_b`, which maps coordinates in frame b to frame a; the type names both
 //! frames), [`Twist`], [`Camera`], [`StereoRig`], [`maps::RemapTable`] (undistortion and rectification of images),
-//! [`MonotonicTime`], and the functions of [`so3`] and [`se3`].
+//! [`MonotonicTime`], and the functions of [`so3`] and [`se3`]. [`ranges!`] declares the allowed values of parameters.
 
 pub mod camera;
 pub mod frames;
 pub mod maps;
 pub mod pose;
+pub mod ranges;
 pub mod rectification;
 pub mod se3;
 pub mod so3;

@@ -6,8 +6,9 @@ use std::ops::RangeInclusive;
 
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Flange, Frame, Hand, Model};
+use pb3dp_geometry::ranges;
 
-use crate::config_error::{ConfigError, check, not_below, ranges};
+use crate::config_error::{ConfigError, not_below};
 use crate::search::SearchConfig;
 use crate::target_state::TargetStateConfig;
 
@@ -121,7 +122,8 @@ impl ControllerConfig {
     pub const LENGTH_MAX_M: f64 = 5.0;
 
     ranges! {
-        JOINT_HISTORY_SAMPLES: usize = 8..=10_000;
+        fn check_ranges "";
+        joint_history_samples, JOINT_HISTORY_SAMPLES: usize = 8..=10_000;
     }
 
     /// Checks every number.
@@ -140,23 +142,18 @@ impl ControllerConfig {
         self.search.iter().try_for_each(SearchConfig::validate)?;
         if let LawConfig::FeedForward(law) = &self.law {
             let allowed = TargetStateConfig::horizon_s_allowed(self.timeouts.observation_s);
-            check("target_state.horizon_s", law.target.horizon_s, allowed)?;
+            ranges::check_range("target_state.horizon_s", law.target.horizon_s, allowed)?;
         }
-        check("joint_history_samples", self.joint_history_samples, Self::JOINT_HISTORY_SAMPLES)
+        Ok(self.check_ranges()?)
     }
 }
 
 impl DampingConfig {
     ranges! {
-        THRESHOLD: f64 = 1e-3..=0.5;
-        FACTOR_MAX: f64 = 1e-3..=0.5;
-        ELBOW_MIN_RAD: f64 = 0.0..=0.5;
-    }
-
-    fn validate(&self) -> Result<(), ConfigError> {
-        check("damping.threshold", self.threshold, Self::THRESHOLD)?;
-        check("damping.factor_max", self.factor_max, Self::FACTOR_MAX)?;
-        check("damping.elbow_min_rad", self.elbow_min_rad, Self::ELBOW_MIN_RAD)
+        fn validate "damping.";
+        threshold, THRESHOLD: f64 = 1e-3..=0.5;
+        factor_max, FACTOR_MAX: f64 = 1e-3..=0.5;
+        elbow_min_rad, ELBOW_MIN_RAD: f64 = 0.0..=0.5;
     }
 }
 
@@ -166,42 +163,43 @@ impl CartesianSpeed {
         ANGULAR_RAD_PER_S: f64 = ABOVE_ZERO..=6.0;
     }
 
-    fn validate(&self, [linear, angular]: [&'static str; 2]) -> Result<(), ConfigError> {
-        check(linear, self.linear_m_per_s, Self::LINEAR_M_PER_S)?;
-        check(angular, self.angular_rad_per_s, Self::ANGULAR_RAD_PER_S)
+    fn validate(&self, [linear, angular]: [&'static str; 2]) -> Result<(), ranges::OutOfRange> {
+        ranges::check_range(linear, self.linear_m_per_s, Self::LINEAR_M_PER_S)?;
+        ranges::check_range(angular, self.angular_rad_per_s, Self::ANGULAR_RAD_PER_S)
     }
 }
 
 impl SpeedConfig {
     ranges! {
-        LIMIT_APPROACH_PER_S: f64 = 0.1..=20.0;
-        SOFT_START_S: f64 = 0.0..=10.0;
+        fn check_ranges "speed.";
+        limit_approach_per_s, LIMIT_APPROACH_PER_S: f64 = 0.1..=20.0;
+        soft_start_s, SOFT_START_S: f64 = 0.0..=10.0;
     }
 
-    fn validate(&self) -> Result<(), ConfigError> {
+    fn validate(&self) -> Result<(), ranges::OutOfRange> {
         self.tracking.validate(["speed.tracking.linear_m_per_s", "speed.tracking.angular_rad_per_s"])?;
-        check("speed.limit_approach_per_s", self.limit_approach_per_s, Self::LIMIT_APPROACH_PER_S)?;
-        check("speed.soft_start_s", self.soft_start_s, Self::SOFT_START_S)
+        self.check_ranges()
     }
 }
 
 impl ApproachConfig {
     ranges! {
-        DONE_WITHIN_M: f64 = 1e-4..=1.0;
-        DONE_WITHIN_RAD: f64 = 1e-3..=1.0;
+        fn check_ranges "approach.";
+        done_within_m, DONE_WITHIN_M: f64 = 1e-4..=1.0;
+        done_within_rad, DONE_WITHIN_RAD: f64 = 1e-3..=1.0;
     }
 
-    fn validate(&self) -> Result<(), ConfigError> {
+    fn validate(&self) -> Result<(), ranges::OutOfRange> {
         self.speed.validate(["approach.speed.linear_m_per_s", "approach.speed.angular_rad_per_s"])?;
-        check("approach.done_within_m", self.done_within_m, Self::DONE_WITHIN_M)?;
-        check("approach.done_within_rad", self.done_within_rad, Self::DONE_WITHIN_RAD)
+        self.check_ranges()
     }
 }
 
 impl Timeouts {
     ranges! {
-        OBSERVATION_S: f64 = 0.02..=5.0;
-        JOINTS_S: f64 = 0.002..=0.5;
+        fn check_ranges "timeouts.";
+        observation_s, OBSERVATION_S: f64 = 0.02..=5.0;
+        joints_s, JOINTS_S: f64 = 0.002..=0.5;
     }
 
     /// Allowed values of `lost_s`.
@@ -209,10 +207,9 @@ impl Timeouts {
         not_below(self.observation_s, &Self::OBSERVATION_S).into_inner().0..=60.0
     }
 
-    fn validate(&self) -> Result<(), ConfigError> {
-        check("timeouts.observation_s", self.observation_s, Self::OBSERVATION_S)?;
-        check("timeouts.lost_s", self.lost_s, self.lost_s_allowed())?;
-        check("timeouts.joints_s", self.joints_s, Self::JOINTS_S)
+    fn validate(&self) -> Result<(), ranges::OutOfRange> {
+        self.check_ranges()?;
+        ranges::check_range("timeouts.lost_s", self.lost_s, self.lost_s_allowed())
     }
 }
 

@@ -1,7 +1,8 @@
-//! Error for a refused configuration, and the declaration of allowed values.
+//! Error for a refused configuration.
 
-use std::fmt::Display;
 use std::ops::RangeInclusive;
+
+use pb3dp_geometry::ranges::OutOfRange;
 
 /// A parameter out of range.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -15,27 +16,10 @@ pub struct ConfigError {
     pub allowed: String,
 }
 
-/// Declares the allowed values of settings, as constants of the type that has the settings. This is the only statement of a range:
-/// the check of the type and the files of a setup refer to it.
-macro_rules! ranges {
-    ($($name:ident: $number:ty = $range:expr;)*) => {$(
-        #[doc = concat!("Allowed values of the setting `", stringify!($name), "`.")]
-        pub const $name: std::ops::RangeInclusive<$number> = $range;
-    )*};
-}
-pub(crate) use ranges;
-
-/// Refuses a value out of range, or NaN.
-pub(crate) fn check<T: PartialOrd + Display>(
-    key: &'static str,
-    value: T,
-    allowed: RangeInclusive<T>,
-) -> Result<(), ConfigError> {
-    if allowed.contains(&value) {
-        return Ok(());
+impl From<OutOfRange> for ConfigError {
+    fn from(OutOfRange { name, value, min, max }: OutOfRange) -> Self {
+        Self { key: name, value, allowed: format!("{min} to {max}") }
     }
-    let allowed = format!("{} to {}", allowed.start(), allowed.end());
-    Err(ConfigError { key, value: value.to_string(), allowed })
 }
 
 /// The part of a range that is not below `least`; at least the end of the range.

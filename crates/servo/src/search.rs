@@ -9,9 +9,7 @@ use std::f64::consts::TAU;
 
 use nalgebra::Vector3;
 use pb3dp_geometry::frames::{Base, Hand};
-use pb3dp_geometry::{MonotonicTime, Pose, Twist, so3};
-
-use crate::config_error::{ConfigError, check, ranges};
+use pb3dp_geometry::{MonotonicTime, Pose, Twist, ranges, so3};
 
 /// Pattern and bounds of the search.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,19 +44,12 @@ const RETURNED_WITHIN_M: f64 = 1e-3;
 
 impl SearchConfig {
     ranges! {
-        BACK_M: f64 = 0.0..=0.2;
-        RADIUS_M: f64 = 1e-3..=0.2;
-        TURNS: f64 = 1.0..=10.0;
-        SPEED_M_PER_S: f64 = 1e-3..=0.1;
-        TIME_S: f64 = 1.0..=60.0;
-    }
-
-    pub(crate) fn validate(&self) -> Result<(), ConfigError> {
-        check("search.back_m", self.back_m, Self::BACK_M)?;
-        check("search.radius_m", self.radius_m, Self::RADIUS_M)?;
-        check("search.turns", self.turns, Self::TURNS)?;
-        check("search.speed_m_per_s", self.speed_m_per_s, Self::SPEED_M_PER_S)?;
-        check("search.time_s", self.time_s, Self::TIME_S)
+        pub(crate) fn validate "search.";
+        back_m, BACK_M: f64 = 0.0..=0.2;
+        radius_m, RADIUS_M: f64 = 1e-3..=0.2;
+        turns, TURNS: f64 = 1.0..=10.0;
+        speed_m_per_s, SPEED_M_PER_S: f64 = 1e-3..=0.1;
+        time_s, TIME_S: f64 = 1.0..=60.0;
     }
 
     /// Largest distance of the pattern from its start, metres.

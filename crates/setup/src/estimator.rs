@@ -15,7 +15,7 @@ use serde::Deserialize;
 
 use super::direct::DirectSection;
 use super::load::{Checker, ConfigError, ConfigFile, FileKind, whole};
-use super::units::in_deg;
+use super::table::{Builds, table};
 
 /// The whole file `configs/estimator.toml`.
 #[derive(Clone, Debug, Deserialize)]
@@ -67,30 +67,30 @@ pub struct PublishedSection {
     tracker: TrackerSection,
 }
 
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct HueSection {
-    saturation_min: f64,
-    value_min: f64,
-    coloured_share_min: f64,
-    coloured_points_min: i64,
+table! {
+    struct HueSection sets PublishedConfig {
+        saturation_min: f64 => hue.saturation_min = number(HueConfig::SATURATION_MIN);
+        value_min: f64 => hue.value_min = number(HueConfig::VALUE_MIN);
+        coloured_share_min: f64 => hue_support.coloured_share_min = number(HueSupportConfig::COLOURED_SHARE_MIN);
+        coloured_points_min: i64 => hue_support.points_min = count(HueSupportConfig::POINTS_MIN);
+    }
 }
 
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct ModelSection {
-    inner_points: i64,
-    outer_points: i64,
-    spacing_min_px: i64,
-    band_gap_px: i64,
-    band_width_px: i64,
+table! {
+    struct ModelSection builds PhotoModelConfig {
+        inner_points: i64 => inner_points = count(PhotoModelConfig::INNER_POINTS);
+        outer_points: i64 => outer_points = count(PhotoModelConfig::OUTER_POINTS);
+        spacing_min_px: i64 => spacing_min_px = count(PhotoModelConfig::SPACING_MIN_PX);
+        band_gap_px: i64 => band_gap_px = count(PhotoModelConfig::BAND_GAP_PX);
+        band_width_px: i64 => band_width_px = count(PhotoModelConfig::BAND_WIDTH_PX);
+    }
 }
 
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct FitnessSection {
-    hue_tolerance_deg: f64,
-    unseen: UnseenName,
+table! {
+    struct FitnessSection builds FitnessConfig {
+        hue_tolerance_deg: f64 => hue_tolerance_deg = number(FitnessConfig::HUE_TOLERANCE_DEG);
+        unseen: UnseenName => unseen = plain();
+    }
 }
 
 #[derive(Clone, Copy, Debug, Deserialize)]
@@ -98,6 +98,15 @@ struct FitnessSection {
 enum UnseenName {
     Mismatch,
     Abstain,
+}
+
+impl From<UnseenName> for Unseen {
+    fn from(name: UnseenName) -> Self {
+        match name {
+            UnseenName::Mismatch => Self::Mismatch,
+            UnseenName::Abstain => Self::Abstain,
+        }
+    }
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -129,123 +138,68 @@ enum CodingName {
     Binary,
 }
 
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RegionSection {
-    area_min_px: i64,
-    click_hue_tolerance_deg: f64,
-    click_luminance_tolerance: f64,
-    click_chroma_min: f64,
-    click_area_share_max: f64,
-    coloured_share_warn: f64,
-    luminance_deviation_warn: f64,
+table! {
+    struct RegionSection builds RegionConfig {
+        area_min_px: i64 => area_min_px = count(1..=10_000_000);
+        click_hue_tolerance_deg: f64 => click_hue_tolerance_deg = number(0.0..=180.0);
+        click_luminance_tolerance: f64 => click_luminance_tolerance = number(0.0..=255.0);
+        click_chroma_min: f64 => click_chroma_min = number(0.0..=255.0);
+        click_area_share_max: f64 => click_area_share_max = number(0.001..=1.0);
+        coloured_share_warn: f64 => coloured_share_min = number(0.0..=1.0);
+        luminance_deviation_warn: f64 => luminance_deviation_min = number(0.0..=127.0);
+    }
 }
 
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct StatusSection {
-    disparity_step_px: f64,
-    depth_nodes_max: i64,
-    coarse_tilt_step_deg: f64,
-    fine_tilt_step_deg: f64,
-    blocks_per_side: i64,
-    resamples: i64,
-    candidates_max: i64,
-    fitness_tolerance: f64,
-    height_min: f64,
-    depth_spread_max: f64,
-    depth_spread_sure: f64,
-    runner_up_max: f64,
-    fitness_sure: f64,
-    tilt_spread_sure_deg: f64,
+table! {
+    struct StatusSection builds ObservabilityConfig {
+        disparity_step_px: f64 => disparity_step_px = number(ObservabilityConfig::DISPARITY_STEP_PX);
+        depth_nodes_max: i64 => depth_nodes_max = count(ObservabilityConfig::DEPTH_NODES_MAX);
+        coarse_tilt_step_deg: f64 => coarse_tilt_step_rad = deg(ObservabilityConfig::COARSE_TILT_STEP_RAD);
+        fine_tilt_step_deg: f64 => fine_tilt_step_rad = deg(ObservabilityConfig::FINE_TILT_STEP_RAD);
+        blocks_per_side: i64 => blocks_per_side = count(ObservabilityConfig::BLOCKS_PER_SIDE);
+        resamples: i64 => resamples = count(ObservabilityConfig::RESAMPLES);
+        candidates_max: i64 => candidates_max = count(ObservabilityConfig::CANDIDATES_MAX);
+        fitness_tolerance: f64 => fitness_tolerance = number(ObservabilityConfig::FITNESS_TOLERANCE);
+        height_min: f64 => height_min = number(ObservabilityConfig::HEIGHT_MIN);
+        depth_spread_max: f64 => depth_spread_max = number(ObservabilityConfig::DEPTH_SPREAD_MAX);
+        depth_spread_sure: f64 => depth_spread_sure = number(ObservabilityConfig::DEPTH_SPREAD_SURE);
+        runner_up_max: f64 => runner_up_max = number(ObservabilityConfig::RUNNER_UP_MAX);
+        fitness_sure: f64 => fitness_sure = number(ObservabilityConfig::FITNESS_SURE);
+        tilt_spread_sure_deg: f64 => tilt_spread_sure_rad = deg(ObservabilityConfig::TILT_SPREAD_SURE_RAD);
+    }
 }
 
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct TrackerSection {
-    window_margin_px: i64,
-    shift_steps_max: i64,
-    shift_max_share: f64,
-    contrast_min: f64,
-    mass_share_min: f64,
-    visible_share_min: f64,
-    depth_spread_sure: f64,
-    height_share_min: f64,
-    assure_frames_max: i64,
+table! {
+    struct TrackerSection builds TrackerConfig {
+        window_margin_px: i64 => window_margin_px = count(TrackerConfig::WINDOW_MARGIN_PX);
+        shift_steps_max: i64 => shift_steps_max = count(TrackerConfig::SHIFT_STEPS_MAX);
+        shift_max_share: f64 => shift_max_share = number(TrackerConfig::SHIFT_MAX_SHARE);
+        contrast_min: f64 => contrast_min = number(TrackerConfig::CONTRAST_MIN);
+        mass_share_min: f64 => mass_share_min = number(TrackerConfig::MASS_SHARE_MIN);
+        visible_share_min: f64 => visible_share_min = number(TrackerConfig::VISIBLE_SHARE_MIN);
+        depth_spread_sure: f64 => depth_spread_sure = number(TrackerConfig::DEPTH_SPREAD_SURE);
+        height_share_min: f64 => height_share_min = number(TrackerConfig::HEIGHT_SHARE_MIN);
+        assure_frames_max: i64 => assure_frames_max = count(TrackerConfig::ASSURE_FRAMES_MAX);
+    }
 }
 
 impl PublishedSection {
     /// The parameters in the units of the estimator; values out of range are reported to `check` under `key`.
     pub fn build(&self, key: &str, check: &mut Checker) -> PublishedConfig {
-        self.hue.check(&format!("{key}.hue"), check);
-        self.model.check(&format!("{key}.model"), check);
-        check.number(
-            &format!("{key}.fitness.hue_tolerance_deg"),
-            self.fitness.hue_tolerance_deg,
-            FitnessConfig::HUE_TOLERANCE_DEG,
-        );
         self.rmga.check(&format!("{key}.rmga"), check);
-        self.region.check(&format!("{key}.region"), check);
-        self.status.check(&format!("{key}.status"), check);
-        self.tracker.check(&format!("{key}.tracker"), check);
-        let config = PublishedConfig {
-            hue: HueConfig { saturation_min: self.hue.saturation_min, value_min: self.hue.value_min },
-            model: self.model.build(),
-            fitness: FitnessConfig {
-                hue_tolerance_deg: self.fitness.hue_tolerance_deg,
-                unseen: match self.fitness.unseen {
-                    UnseenName::Mismatch => Unseen::Mismatch,
-                    UnseenName::Abstain => Unseen::Abstain,
-                },
-            },
+        let mut config = PublishedConfig {
+            model: self.model.build(&format!("{key}.model"), check),
+            fitness: self.fitness.build(&format!("{key}.fitness"), check),
             rmga: self.rmga.build(),
             cold_start: ColdStartConfig { generations: whole(self.rmga.generations_cold_start) },
-            region: self.region.build(),
-            observability: self.status.build(),
-            hue_support: HueSupportConfig {
-                coloured_share_min: self.hue.coloured_share_min,
-                points_min: whole(self.hue.coloured_points_min),
-            },
-            tracker: self.tracker.build(),
-            reference_optimum: false,
+            region: self.region.build(&format!("{key}.region"), check),
+            observability: self.status.build(&format!("{key}.status"), check),
+            tracker: self.tracker.build(&format!("{key}.tracker"), check),
+            ..PublishedConfig::default()
         };
-        if let (true, Err(error)) = (check.is_clean(), config.validate()) {
-            check.refuse(format!("{key}: {error}"));
-        }
+        self.hue.set(&mut config, &format!("{key}.hue"), check);
+        check.together(key, config.validate());
         config
-    }
-}
-
-impl HueSection {
-    fn check(&self, key: &str, check: &mut Checker) {
-        check.number(&format!("{key}.saturation_min"), self.saturation_min, HueConfig::SATURATION_MIN);
-        check.number(&format!("{key}.value_min"), self.value_min, HueConfig::VALUE_MIN);
-        check.number(
-            &format!("{key}.coloured_share_min"),
-            self.coloured_share_min,
-            HueSupportConfig::COLOURED_SHARE_MIN,
-        );
-        check.count(&format!("{key}.coloured_points_min"), self.coloured_points_min, HueSupportConfig::POINTS_MIN);
-    }
-}
-
-impl ModelSection {
-    fn check(&self, key: &str, check: &mut Checker) {
-        check.count(&format!("{key}.inner_points"), self.inner_points, PhotoModelConfig::INNER_POINTS);
-        check.count(&format!("{key}.outer_points"), self.outer_points, PhotoModelConfig::OUTER_POINTS);
-        check.count(&format!("{key}.spacing_min_px"), self.spacing_min_px, PhotoModelConfig::SPACING_MIN_PX);
-        check.count(&format!("{key}.band_gap_px"), self.band_gap_px, PhotoModelConfig::BAND_GAP_PX);
-        check.count(&format!("{key}.band_width_px"), self.band_width_px, PhotoModelConfig::BAND_WIDTH_PX);
-    }
-
-    fn build(&self) -> PhotoModelConfig {
-        PhotoModelConfig {
-            inner_points: whole(self.inner_points),
-            outer_points: whole(self.outer_points),
-            spacing_min_px: whole(self.spacing_min_px),
-            band_gap_px: whole(self.band_gap_px),
-            band_width_px: whole(self.band_width_px),
-        }
     }
 }
 
@@ -277,105 +231,6 @@ impl RmGaSection {
                 CodingName::Binary => Coding::Binary,
             },
             seed: self.seed,
-        }
-    }
-}
-
-impl RegionSection {
-    fn check(&self, key: &str, check: &mut Checker) {
-        check.count(&format!("{key}.area_min_px"), self.area_min_px, 1..=10_000_000);
-        check.number(&format!("{key}.click_hue_tolerance_deg"), self.click_hue_tolerance_deg, 0.0..=180.0);
-        check.number(&format!("{key}.click_luminance_tolerance"), self.click_luminance_tolerance, 0.0..=255.0);
-        check.number(&format!("{key}.click_chroma_min"), self.click_chroma_min, 0.0..=255.0);
-        check.number(&format!("{key}.click_area_share_max"), self.click_area_share_max, 0.001..=1.0);
-        check.number(&format!("{key}.coloured_share_warn"), self.coloured_share_warn, 0.0..=1.0);
-        check.number(&format!("{key}.luminance_deviation_warn"), self.luminance_deviation_warn, 0.0..=127.0);
-    }
-
-    fn build(&self) -> RegionConfig {
-        RegionConfig {
-            area_min_px: whole(self.area_min_px),
-            click_hue_tolerance_deg: self.click_hue_tolerance_deg,
-            click_luminance_tolerance: self.click_luminance_tolerance,
-            click_chroma_min: self.click_chroma_min,
-            click_area_share_max: self.click_area_share_max,
-            coloured_share_min: self.coloured_share_warn,
-            luminance_deviation_min: self.luminance_deviation_warn,
-        }
-    }
-}
-
-impl TrackerSection {
-    fn check(&self, key: &str, check: &mut Checker) {
-        check.count(&format!("{key}.window_margin_px"), self.window_margin_px, TrackerConfig::WINDOW_MARGIN_PX);
-        check.count(&format!("{key}.shift_steps_max"), self.shift_steps_max, TrackerConfig::SHIFT_STEPS_MAX);
-        check.count(&format!("{key}.assure_frames_max"), self.assure_frames_max, TrackerConfig::ASSURE_FRAMES_MAX);
-        check.number(&format!("{key}.shift_max_share"), self.shift_max_share, TrackerConfig::SHIFT_MAX_SHARE);
-        for (name, value, allowed) in [
-            ("contrast_min", self.contrast_min, TrackerConfig::CONTRAST_MIN),
-            ("mass_share_min", self.mass_share_min, TrackerConfig::MASS_SHARE_MIN),
-            ("visible_share_min", self.visible_share_min, TrackerConfig::VISIBLE_SHARE_MIN),
-            ("depth_spread_sure", self.depth_spread_sure, TrackerConfig::DEPTH_SPREAD_SURE),
-            ("height_share_min", self.height_share_min, TrackerConfig::HEIGHT_SHARE_MIN),
-        ] {
-            check.number(&format!("{key}.{name}"), value, allowed);
-        }
-    }
-
-    fn build(&self) -> TrackerConfig {
-        TrackerConfig {
-            window_margin_px: whole(self.window_margin_px),
-            shift_steps_max: whole(self.shift_steps_max),
-            shift_max_share: self.shift_max_share,
-            contrast_min: self.contrast_min,
-            mass_share_min: self.mass_share_min,
-            visible_share_min: self.visible_share_min,
-            depth_spread_sure: self.depth_spread_sure,
-            height_share_min: self.height_share_min,
-            assure_frames_max: whole(self.assure_frames_max),
-        }
-    }
-}
-
-impl StatusSection {
-    fn check(&self, key: &str, check: &mut Checker) {
-        use ObservabilityConfig as Probe;
-        check.count(&format!("{key}.depth_nodes_max"), self.depth_nodes_max, Probe::DEPTH_NODES_MAX);
-        check.count(&format!("{key}.blocks_per_side"), self.blocks_per_side, Probe::BLOCKS_PER_SIDE);
-        check.count(&format!("{key}.resamples"), self.resamples, Probe::RESAMPLES);
-        check.count(&format!("{key}.candidates_max"), self.candidates_max, Probe::CANDIDATES_MAX);
-        for (name, value, allowed) in [
-            ("disparity_step_px", self.disparity_step_px, Probe::DISPARITY_STEP_PX),
-            ("coarse_tilt_step_deg", self.coarse_tilt_step_deg, in_deg(Probe::COARSE_TILT_STEP_RAD)),
-            ("fine_tilt_step_deg", self.fine_tilt_step_deg, in_deg(Probe::FINE_TILT_STEP_RAD)),
-            ("fitness_tolerance", self.fitness_tolerance, Probe::FITNESS_TOLERANCE),
-            ("height_min", self.height_min, Probe::HEIGHT_MIN),
-            ("depth_spread_max", self.depth_spread_max, Probe::DEPTH_SPREAD_MAX),
-            ("depth_spread_sure", self.depth_spread_sure, Probe::DEPTH_SPREAD_SURE),
-            ("runner_up_max", self.runner_up_max, Probe::RUNNER_UP_MAX),
-            ("fitness_sure", self.fitness_sure, Probe::FITNESS_SURE),
-            ("tilt_spread_sure_deg", self.tilt_spread_sure_deg, in_deg(Probe::TILT_SPREAD_SURE_RAD)),
-        ] {
-            check.number(&format!("{key}.{name}"), value, allowed);
-        }
-    }
-
-    fn build(&self) -> ObservabilityConfig {
-        ObservabilityConfig {
-            disparity_step_px: self.disparity_step_px,
-            depth_nodes_max: whole(self.depth_nodes_max),
-            coarse_tilt_step_rad: self.coarse_tilt_step_deg.to_radians(),
-            fine_tilt_step_rad: self.fine_tilt_step_deg.to_radians(),
-            blocks_per_side: whole(self.blocks_per_side),
-            resamples: whole(self.resamples),
-            candidates_max: whole(self.candidates_max),
-            fitness_tolerance: self.fitness_tolerance,
-            height_min: self.height_min,
-            depth_spread_max: self.depth_spread_max,
-            depth_spread_sure: self.depth_spread_sure,
-            runner_up_max: self.runner_up_max,
-            fitness_sure: self.fitness_sure,
-            tilt_spread_sure_rad: self.tilt_spread_sure_deg.to_radians(),
         }
     }
 }

@@ -14,6 +14,7 @@ pub mod names;
 pub mod recorded_settings;
 pub mod region_spec;
 pub mod setup;
+mod table;
 mod units;
 
 pub use load::ConfigError;

@@ -354,6 +354,13 @@ impl Checker {
         }
     }
 
+    /// Refuses what a part finds wrong with its parameters together, if each value is allowed.
+    pub fn together(&mut self, key: &str, found: Result<(), impl std::fmt::Display>) {
+        if let (true, Err(error)) = (self.is_clean(), found) {
+            self.refuse(format!("{key}: {error}"));
+        }
+    }
+
     /// Number of refusals.
     pub fn refused(&self) -> usize {
         self.lines.len()

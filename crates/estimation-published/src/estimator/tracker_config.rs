@@ -1,7 +1,6 @@
 //! Parameters of the tracker.
 
-use pb3dp_estimation_core::error::{EstimationError, check_range};
-use pb3dp_estimation_core::ranges;
+use pb3dp_geometry::ranges;
 
 /// Parameters of region tracking and of the loss criteria. The paper states none of them.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -51,26 +50,15 @@ impl Default for TrackerConfig {
 
 impl TrackerConfig {
     ranges! {
-        WINDOW_MARGIN_PX: u32 = 1..=200;
-        SHIFT_STEPS_MAX: usize = 1..=100;
-        SHIFT_MAX_SHARE: f64 = 0.0..=2.0;
-        CONTRAST_MIN: f64 = 0.0..=1.0;
-        MASS_SHARE_MIN: f64 = 0.0..=1.0;
-        VISIBLE_SHARE_MIN: f64 = 0.0..=1.0;
-        DEPTH_SPREAD_SURE: f64 = 0.0..=1.0;
-        HEIGHT_SHARE_MIN: f64 = 0.0..=1.0;
-        ASSURE_FRAMES_MAX: u32 = 1..=10_000;
-    }
-
-    pub(super) fn validate(&self) -> Result<(), EstimationError> {
-        check_range("tracker window_margin_px", self.window_margin_px, Self::WINDOW_MARGIN_PX)?;
-        check_range("tracker shift_steps_max", self.shift_steps_max, Self::SHIFT_STEPS_MAX)?;
-        check_range("tracker shift_max_share", self.shift_max_share, Self::SHIFT_MAX_SHARE)?;
-        check_range("tracker contrast_min", self.contrast_min, Self::CONTRAST_MIN)?;
-        check_range("tracker mass_share_min", self.mass_share_min, Self::MASS_SHARE_MIN)?;
-        check_range("tracker visible_share_min", self.visible_share_min, Self::VISIBLE_SHARE_MIN)?;
-        check_range("tracker depth_spread_sure", self.depth_spread_sure, Self::DEPTH_SPREAD_SURE)?;
-        check_range("tracker height_share_min", self.height_share_min, Self::HEIGHT_SHARE_MIN)?;
-        check_range("tracker assure_frames_max", self.assure_frames_max, Self::ASSURE_FRAMES_MAX)
+        pub(super) fn validate "tracker ";
+        window_margin_px, WINDOW_MARGIN_PX: u32 = 1..=200;
+        shift_steps_max, SHIFT_STEPS_MAX: usize = 1..=100;
+        shift_max_share, SHIFT_MAX_SHARE: f64 = 0.0..=2.0;
+        contrast_min, CONTRAST_MIN: f64 = 0.0..=1.0;
+        mass_share_min, MASS_SHARE_MIN: f64 = 0.0..=1.0;
+        visible_share_min, VISIBLE_SHARE_MIN: f64 = 0.0..=1.0;
+        depth_spread_sure, DEPTH_SPREAD_SURE: f64 = 0.0..=1.0;
+        height_share_min, HEIGHT_SHARE_MIN: f64 = 0.0..=1.0;
+        assure_frames_max, ASSURE_FRAMES_MAX: u32 = 1..=10_000;
     }
 }

@@ -7,10 +7,10 @@
 use std::cmp::Reverse;
 use std::ops::RangeInclusive;
 
-use pb3dp_estimation_core::error::{EstimationError, check_range};
+use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::plane_hypothesis::{PlaneHypothesis, SearchRange};
-use pb3dp_estimation_core::ranges;
 use pb3dp_estimation_core::rng::SplitMix64;
+use pb3dp_geometry::ranges;
 
 use super::chromosome::{BITS, Chromosome, Codec, Coding};
 use super::{PlaneScore, REFUSED};
@@ -63,10 +63,13 @@ impl Default for RmGaConfig {
 
 impl RmGaConfig {
     ranges! {
-        POPULATION: usize = 2..=10_000;
-        GENERATIONS: usize = 1..=100_000;
-        MUTATION_RATE: f64 = 0.0..=1.0;
+        fn check_ranges "RM-GA ";
+        population, POPULATION: usize = 2..=10_000;
+        generations, GENERATIONS: usize = 1..=100_000;
     }
+
+    /// Allowed rates of a mutation.
+    pub const MUTATION_RATE: RangeInclusive<f64> = 0.0..=1.0;
 
     /// Allowed values of `survivors`.
     pub fn survivors_allowed(&self) -> RangeInclusive<usize> {
@@ -82,15 +85,14 @@ impl RmGaConfig {
     ///
     /// # Errors
     /// The parameter that is out of its range.
-    pub fn validate(&self) -> Result<(), EstimationError> {
+    pub fn validate(&self) -> Result<(), ranges::OutOfRange> {
         let rate = match self.mutation {
             Mutation::PerIndividual(rate) | Mutation::PerBit(rate) => rate,
         };
-        check_range("RM-GA population", self.population, Self::POPULATION)?;
-        check_range("RM-GA survivors", self.survivors, self.survivors_allowed())?;
-        check_range("RM-GA elite", self.elite, self.elite_allowed())?;
-        check_range("RM-GA generations", self.generations, Self::GENERATIONS)?;
-        check_range("RM-GA mutation rate", rate, Self::MUTATION_RATE)
+        self.check_ranges()?;
+        ranges::check_range("RM-GA survivors", self.survivors, self.survivors_allowed())?;
+        ranges::check_range("RM-GA elite", self.elite, self.elite_allowed())?;
+        ranges::check_range("RM-GA mutation rate", rate, Self::MUTATION_RATE)
     }
 }
 

@@ -1,7 +1,8 @@
 //! Parameters of the control laws.
 
+use pb3dp_geometry::ranges;
+
 use super::ABOVE_ZERO;
-use crate::config_error::{ConfigError, check, ranges};
 use crate::target_state::TargetStateConfig;
 
 /// The control law with its parameters.
@@ -214,7 +215,7 @@ impl Default for TargetFilterConfig {
 }
 
 impl LawConfig {
-    pub(super) fn validate(&self) -> Result<(), ConfigError> {
+    pub(super) fn validate(&self) -> Result<(), ranges::OutOfRange> {
         match self {
             Self::FeedForward(config) => config.validate(),
             Self::Published(config) => {
@@ -229,46 +230,48 @@ impl LawConfig {
 
 impl ImageBasedConfig {
     ranges! {
-        GAIN_PER_S: f64 = ABOVE_ZERO..=50.0;
-        HALF_WIDTH_M: f64 = 1e-3..=1.0;
+        fn check_ranges "image_based.";
+        gain_per_s, GAIN_PER_S: f64 = ABOVE_ZERO..=50.0;
+        half_width_m, HALF_WIDTH_M: f64 = 1e-3..=1.0;
     }
 
-    fn validate(&self) -> Result<(), ConfigError> {
-        check("image_based.gain_per_s", self.gain_per_s, Self::GAIN_PER_S)?;
-        check("image_based.half_width_m", self.half_width_m, Self::HALF_WIDTH_M)?;
+    fn validate(&self) -> Result<(), ranges::OutOfRange> {
+        self.check_ranges()?;
         self.target_filter.validate()
     }
 }
 
 impl HybridConfig {
     ranges! {
-        GAIN_PER_S: f64 = ABOVE_ZERO..=50.0;
+        fn check_ranges "hybrid.";
+        gain_per_s, GAIN_PER_S: f64 = ABOVE_ZERO..=50.0;
     }
 
-    fn validate(&self) -> Result<(), ConfigError> {
-        check("hybrid.gain_per_s", self.gain_per_s, Self::GAIN_PER_S)?;
+    fn validate(&self) -> Result<(), ranges::OutOfRange> {
+        self.check_ranges()?;
         self.target_filter.validate()
     }
 }
 
 impl ArmResponse {
     ranges! {
-        DELAY_S: f64 = 0.0..=0.5;
-        LAG_S: f64 = 0.0..=0.5;
+        fn validate "feed_forward.arm.";
+        delay_s, DELAY_S: f64 = 0.0..=0.5;
+        lag_s, LAG_S: f64 = 0.0..=0.5;
     }
 }
 
 impl FeedForwardConfig {
     ranges! {
-        OBSERVATIONS_TO_LOCK: u32 = 1..=1000;
+        fn check_ranges "feed_forward.";
+        observations_to_lock, OBSERVATIONS_TO_LOCK: u32 = 1..=1000;
     }
 
-    fn validate(&self) -> Result<(), ConfigError> {
-        check("feed_forward.arm.delay_s", self.arm.delay_s, ArmResponse::DELAY_S)?;
-        check("feed_forward.arm.lag_s", self.arm.lag_s, ArmResponse::LAG_S)?;
+    fn validate(&self) -> Result<(), ranges::OutOfRange> {
+        self.arm.validate()?;
         self.gains.validate()?;
         self.target.validate()?;
-        check("feed_forward.observations_to_lock", self.observations_to_lock, Self::OBSERVATIONS_TO_LOCK)?;
+        self.check_ranges()?;
         self.unstated.validate()?;
         self.redundancy.validate()
     }
@@ -276,79 +279,49 @@ impl FeedForwardConfig {
 
 impl FeedForwardGains {
     ranges! {
-        POSITION_PER_S: f64 = ABOVE_ZERO..=50.0;
-        ORIENTATION_PER_S: f64 = ABOVE_ZERO..=50.0;
-        LINEAR_M_PER_S2: f64 = 0.01..=20.0;
-        ANGULAR_RAD_PER_S2: f64 = 0.01..=50.0;
-    }
-
-    fn validate(&self) -> Result<(), ConfigError> {
-        check("feed_forward.gains.position_per_s", self.position_per_s, Self::POSITION_PER_S)?;
-        check("feed_forward.gains.orientation_per_s", self.orientation_per_s, Self::ORIENTATION_PER_S)?;
-        check("feed_forward.gains.linear_m_per_s2", self.linear_m_per_s2, Self::LINEAR_M_PER_S2)?;
-        check("feed_forward.gains.angular_rad_per_s2", self.angular_rad_per_s2, Self::ANGULAR_RAD_PER_S2)
+        fn validate "feed_forward.gains.";
+        position_per_s, POSITION_PER_S: f64 = ABOVE_ZERO..=50.0;
+        orientation_per_s, ORIENTATION_PER_S: f64 = ABOVE_ZERO..=50.0;
+        linear_m_per_s2, LINEAR_M_PER_S2: f64 = 0.01..=20.0;
+        angular_rad_per_s2, ANGULAR_RAD_PER_S2: f64 = 0.01..=50.0;
     }
 }
 
 impl UnstatedCovariance {
     ranges! {
-        LATERAL_M: f64 = 1e-6..=0.1;
-        DEPTH_M: f64 = 1e-6..=0.1;
-        TILT_RAD: f64 = 1e-5..=1.0;
-        ABOUT_NORMAL_RAD: f64 = 1e-5..=1.0;
-    }
-
-    fn validate(&self) -> Result<(), ConfigError> {
-        check("feed_forward.unstated.lateral_m", self.lateral_m, Self::LATERAL_M)?;
-        check("feed_forward.unstated.depth_m", self.depth_m, Self::DEPTH_M)?;
-        check("feed_forward.unstated.tilt_rad", self.tilt_rad, Self::TILT_RAD)?;
-        check("feed_forward.unstated.about_normal_rad", self.about_normal_rad, Self::ABOUT_NORMAL_RAD)
+        fn validate "feed_forward.unstated.";
+        lateral_m, LATERAL_M: f64 = 1e-6..=0.1;
+        depth_m, DEPTH_M: f64 = 1e-6..=0.1;
+        tilt_rad, TILT_RAD: f64 = 1e-5..=1.0;
+        about_normal_rad, ABOUT_NORMAL_RAD: f64 = 1e-5..=1.0;
     }
 }
 
 impl RedundancyConfig {
     ranges! {
-        GAIN_RAD_PER_S: f64 = 0.0..=10.0;
-        SPEED_MAX_RAD_PER_S: f64 = 0.0..=1.0;
-    }
-
-    fn validate(&self) -> Result<(), ConfigError> {
-        check("feed_forward.redundancy.gain_rad_per_s", self.gain_rad_per_s, Self::GAIN_RAD_PER_S)?;
-        check("feed_forward.redundancy.speed_max_rad_per_s", self.speed_max_rad_per_s, Self::SPEED_MAX_RAD_PER_S)
+        fn validate "feed_forward.redundancy.";
+        gain_rad_per_s, GAIN_RAD_PER_S: f64 = 0.0..=10.0;
+        speed_max_rad_per_s, SPEED_MAX_RAD_PER_S: f64 = 0.0..=1.0;
     }
 }
 
 impl Gains {
     ranges! {
-        POSITION_PER_S: f64 = ABOVE_ZERO..=50.0;
-        VELOCITY: f64 = 0.0..=0.9;
-        ORIENTATION_PER_S: f64 = ABOVE_ZERO..=100.0;
-        ANGULAR_VELOCITY: f64 = 0.0..=0.9;
-    }
-
-    fn validate(&self) -> Result<(), ConfigError> {
-        check("gains.position_per_s", self.position_per_s, Self::POSITION_PER_S)?;
-        check("gains.velocity", self.velocity, Self::VELOCITY)?;
-        check("gains.orientation_per_s", self.orientation_per_s, Self::ORIENTATION_PER_S)?;
-        check("gains.angular_velocity", self.angular_velocity, Self::ANGULAR_VELOCITY)
+        fn validate "gains.";
+        position_per_s, POSITION_PER_S: f64 = ABOVE_ZERO..=50.0;
+        velocity, VELOCITY: f64 = 0.0..=0.9;
+        orientation_per_s, ORIENTATION_PER_S: f64 = ABOVE_ZERO..=100.0;
+        angular_velocity, ANGULAR_VELOCITY: f64 = 0.0..=0.9;
     }
 }
 
 impl TargetFilterConfig {
     ranges! {
-        POSITION_TIME_CONSTANT_S: f64 = 0.0..=5.0;
-        ORIENTATION_TIME_CONSTANT_S: f64 = 0.0..=5.0;
-        GATE_POSITION_M: f64 = 1e-3..=10.0;
-        GATE_ORIENTATION_RAD: f64 = 0.01..=std::f64::consts::PI;
-        OBSERVATIONS_TO_LOCK: u32 = 1..=1000;
-    }
-
-    fn validate(&self) -> Result<(), ConfigError> {
-        let (position_s, orientation_s) = (self.position_time_constant_s, self.orientation_time_constant_s);
-        check("target_filter.position_time_constant_s", position_s, Self::POSITION_TIME_CONSTANT_S)?;
-        check("target_filter.orientation_time_constant_s", orientation_s, Self::ORIENTATION_TIME_CONSTANT_S)?;
-        check("target_filter.gate_position_m", self.gate_position_m, Self::GATE_POSITION_M)?;
-        check("target_filter.gate_orientation_rad", self.gate_orientation_rad, Self::GATE_ORIENTATION_RAD)?;
-        check("target_filter.observations_to_lock", self.observations_to_lock, Self::OBSERVATIONS_TO_LOCK)
+        fn validate "target_filter.";
+        position_time_constant_s, POSITION_TIME_CONSTANT_S: f64 = 0.0..=5.0;
+        orientation_time_constant_s, ORIENTATION_TIME_CONSTANT_S: f64 = 0.0..=5.0;
+        gate_position_m, GATE_POSITION_M: f64 = 1e-3..=10.0;
+        gate_orientation_rad, GATE_ORIENTATION_RAD: f64 = 0.01..=std::f64::consts::PI;
+        observations_to_lock, OBSERVATIONS_TO_LOCK: u32 = 1..=1000;
     }
 }

@@ -4,7 +4,9 @@ use std::cmp::Ordering;
 use std::fmt;
 use std::ops::RangeInclusive;
 
-use crate::config_error::{not_below, ranges};
+use pb3dp_geometry::ranges;
+
+use crate::config_error::not_below;
 
 /// A monitored condition. If several active ones have the same action, the first one in this order gives the reason.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -2,7 +2,9 @@
 
 use std::ops::RangeInclusive;
 
-use crate::config_error::{ConfigError, check, not_below, ranges};
+use pb3dp_geometry::ranges;
+
+use crate::config_error::not_below;
 
 /// All parameters of [`crate::TargetState::new`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -129,9 +131,10 @@ impl Default for TargetStateConfig {
 
 impl TargetStateConfig {
     ranges! {
-        GATE_NIS: f64 = 6.0..=1e4;
-        HISTORY_MEASUREMENTS: usize = 2..=1000;
-        HORIZON_S: f64 = 0.01..=5.0;
+        fn check_ranges "target_state.";
+        gate_nis, GATE_NIS: f64 = 6.0..=1e4;
+        history_measurements, HISTORY_MEASUREMENTS: usize = 2..=1000;
+        horizon_s, HORIZON_S: f64 = 0.01..=5.0;
     }
 
     /// Allowed values of `horizon_s` for a controller with this time-out of observations, seconds: the target must be predictable
@@ -149,15 +152,13 @@ impl TargetStateConfig {
     ///
     /// # Errors
     /// The first setting that is out of range.
-    pub fn validate(&self) -> Result<(), ConfigError> {
+    pub fn validate(&self) -> Result<(), ranges::OutOfRange> {
         self.linear.validate(&LINEAR_KEYS)?;
         self.angular.validate(&ANGULAR_KEYS)?;
         self.measurement.validate()?;
         self.surprise.validate()?;
-        check("target_state.gate_nis", self.gate_nis, Self::GATE_NIS)?;
-        check("target_state.history_measurements", self.history_measurements, Self::HISTORY_MEASUREMENTS)?;
-        check("target_state.horizon_s", self.horizon_s, Self::HORIZON_S)?;
-        check("target_state.gap_max_s", self.gap_max_s, self.gap_max_s_allowed())
+        self.check_ranges()?;
+        ranges::check_range("target_state.gap_max_s", self.gap_max_s, self.gap_max_s_allowed())
     }
 }
 
@@ -194,16 +195,16 @@ impl MotionConfig {
         START_VELOCITY_SIGMA_PER_S: f64 = 1e-4..=10.0;
     }
 
-    fn validate(&self, keys: &MotionKeys) -> Result<(), ConfigError> {
-        check(keys[0], self.acceleration_sigma_per_s2, Self::ACCELERATION_SIGMA_PER_S2)?;
-        check(keys[1], self.correlation_time_s, Self::CORRELATION_TIME_S)?;
-        check(keys[2], self.across_share, Self::ACROSS_SHARE)?;
-        check(keys[3], self.start_velocity_sigma_per_s, Self::START_VELOCITY_SIGMA_PER_S)?;
+    fn validate(&self, keys: &MotionKeys) -> Result<(), ranges::OutOfRange> {
+        ranges::check_range(keys[0], self.acceleration_sigma_per_s2, Self::ACCELERATION_SIGMA_PER_S2)?;
+        ranges::check_range(keys[1], self.correlation_time_s, Self::CORRELATION_TIME_S)?;
+        ranges::check_range(keys[2], self.across_share, Self::ACROSS_SHARE)?;
+        ranges::check_range(keys[3], self.start_velocity_sigma_per_s, Self::START_VELOCITY_SIGMA_PER_S)?;
         let Some(rest) = &self.rest else { return Ok(()) };
-        check(keys[4], rest.drift_sigma_per_sqrt_s, RestConfig::DRIFT_SIGMA_PER_SQRT_S)?;
-        check(keys[5], rest.onset_velocity_sigma_per_s, RestConfig::ONSET_VELOCITY_SIGMA_PER_S)?;
-        check(keys[6], rest.mean_rest_s, RestConfig::MEAN_REST_S)?;
-        check(keys[7], rest.mean_motion_s, RestConfig::MEAN_MOTION_S)
+        ranges::check_range(keys[4], rest.drift_sigma_per_sqrt_s, RestConfig::DRIFT_SIGMA_PER_SQRT_S)?;
+        ranges::check_range(keys[5], rest.onset_velocity_sigma_per_s, RestConfig::ONSET_VELOCITY_SIGMA_PER_S)?;
+        ranges::check_range(keys[6], rest.mean_rest_s, RestConfig::MEAN_REST_S)?;
+        ranges::check_range(keys[7], rest.mean_motion_s, RestConfig::MEAN_MOTION_S)
     }
 }
 
@@ -218,32 +219,20 @@ impl RestConfig {
 
 impl MeasurementConfig {
     ranges! {
-        COVARIANCE_FACTOR: f64 = 0.01..=1000.0;
-        POSITION_SIGMA_MIN_M: f64 = 1e-6..=0.1;
-        ORIENTATION_SIGMA_MIN_RAD: f64 = 1e-6..=0.5;
-    }
-
-    fn validate(&self) -> Result<(), ConfigError> {
-        let (position_m, orientation_rad) = (self.position_sigma_min_m, self.orientation_sigma_min_rad);
-        check("target_state.measurement.covariance_factor", self.covariance_factor, Self::COVARIANCE_FACTOR)?;
-        check("target_state.measurement.position_sigma_min_m", position_m, Self::POSITION_SIGMA_MIN_M)?;
-        check("target_state.measurement.orientation_sigma_min_rad", orientation_rad, Self::ORIENTATION_SIGMA_MIN_RAD)
+        fn validate "target_state.measurement.";
+        covariance_factor, COVARIANCE_FACTOR: f64 = 0.01..=1000.0;
+        position_sigma_min_m, POSITION_SIGMA_MIN_M: f64 = 1e-6..=0.1;
+        orientation_sigma_min_rad, ORIENTATION_SIGMA_MIN_RAD: f64 = 1e-6..=0.5;
     }
 }
 
 impl SurpriseConfig {
     ranges! {
-        NEWEST_SHARE: f64 = 0.01..=1.0;
-        FROM: f64 = 1.0..=100.0;
-        EXPONENT: f64 = 0.0..=8.0;
-        FACTOR_MAX: f64 = 1.0..=1e6;
-    }
-
-    fn validate(&self) -> Result<(), ConfigError> {
-        check("target_state.surprise.newest_share", self.newest_share, Self::NEWEST_SHARE)?;
-        check("target_state.surprise.from", self.from, Self::FROM)?;
-        check("target_state.surprise.exponent", self.exponent, Self::EXPONENT)?;
-        check("target_state.surprise.factor_max", self.factor_max, Self::FACTOR_MAX)
+        fn validate "target_state.surprise.";
+        newest_share, NEWEST_SHARE: f64 = 0.01..=1.0;
+        from, FROM: f64 = 1.0..=100.0;
+        exponent, EXPONENT: f64 = 0.0..=8.0;
+        factor_max, FACTOR_MAX: f64 = 1.0..=1e6;
     }
 
     /// Factor on the variances.

@@ -10,6 +10,7 @@ use serde::Deserialize;
 use std::path::PathBuf;
 
 use super::super::load::{Checker, whole};
+use super::super::table::{Builds, table};
 use super::super::units::in_mm;
 use super::calibration::{CAMERA_TABLE, CalibrationInUse};
 use super::camera_faults::{self, FaultSection};
@@ -46,12 +47,12 @@ pub(super) struct CameraSection {
     faults: Vec<FaultSection>,
 }
 
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct SideSection {
-    exposure: f64,
-    gain: [f64; 3],
-    offset_grey: [f64; 3],
+table! {
+    struct SideSection builds CameraResponse {
+        exposure: f64 => exposure = number(CameraResponse::EXPOSURE);
+        gain: [f64; 3] => gain = numbers(CameraResponse::GAIN);
+        offset_grey: [f64; 3] => offset_grey = numbers(CameraResponse::OFFSET_GREY);
+    }
 }
 
 impl CameraSection {
@@ -63,12 +64,10 @@ impl CameraSection {
             lens_blur_px: self.lens_blur_px,
             read_noise_grey: self.read_noise_grey,
             shot_noise_grey: self.shot_noise_grey,
-            left: self.left.build(),
-            right: self.right.build(),
+            left: self.left.build("camera.left", check),
+            right: self.right.build("camera.right", check),
         };
-        if let (true, Err(error)) = (check.is_clean(), sensor.validate()) {
-            check.refuse(format!("camera: {error}"));
-        }
+        check.together("camera", sensor.validate());
         (self.rig(check), frames, sensor)
     }
 
@@ -118,8 +117,6 @@ impl CameraSection {
         check.number("camera.lens_blur_px", self.lens_blur_px, SensorConfig::LENS_BLUR_PX);
         check.number("camera.read_noise_grey", self.read_noise_grey, SensorConfig::READ_NOISE_GREY);
         check.number("camera.shot_noise_grey", self.shot_noise_grey, SensorConfig::SHOT_NOISE_GREY);
-        self.left.check("camera.left", check);
-        self.right.check("camera.right", check);
     }
 
     /// Two identical parallel cameras, the right one `baseline_mm` to the right.
@@ -147,18 +144,6 @@ impl CameraSection {
         StereoRig::new(camera, camera, cam_right_from_cam_left)
             .inspect_err(|error| check.refuse(format!("camera: {error}")))
             .ok()
-    }
-}
-
-impl SideSection {
-    fn check(&self, key: &str, check: &mut Checker) {
-        check.number(&format!("{key}.exposure"), self.exposure, CameraResponse::EXPOSURE);
-        check.numbers(&format!("{key}.gain"), &self.gain, CameraResponse::GAIN);
-        check.numbers(&format!("{key}.offset_grey"), &self.offset_grey, CameraResponse::OFFSET_GREY);
-    }
-
-    fn build(&self) -> CameraResponse {
-        CameraResponse { exposure: self.exposure, gain: self.gain, offset_grey: self.offset_grey }
     }
 }
 

@@ -117,9 +117,7 @@ impl From<AffectedCamerasName> for AffectedCameras {
 pub(super) fn build(sections: &[FaultSection], check: &mut Checker) -> CameraFaults {
     let built = sections.iter().enumerate().map(|(index, section)| section.build(index, check));
     let faults = CameraFaults { list: built.collect(), ..CameraFaults::default() };
-    if let (true, Err(error)) = (check.is_clean(), faults.validate()) {
-        check.refuse(format!("camera.faults: {error}"));
-    }
+    check.together("camera.faults", faults.validate());
     faults
 }
 

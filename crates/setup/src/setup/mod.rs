@@ -10,7 +10,6 @@ mod experiment;
 mod geometric;
 mod geometry;
 mod image_stream;
-mod law;
 mod link;
 mod mounts;
 mod range;
@@ -65,6 +64,7 @@ use super::direct::DirectSection;
 use super::estimator::PublishedSection;
 use super::layers::{Layers, SetupArgs};
 use super::load::{Checker, ConfigError, ConfigFile, FileKind};
+use super::table::Builds;
 
 /// A checked setup.
 #[derive(Clone, Debug)]
@@ -356,14 +356,14 @@ impl SetupFile {
             check.limited("run.control_period_millis", self.run.control_period_millis, 2.0..=period_max_millis);
         check.number("run.estimate_latency_millis", self.run.estimate_latency_millis, 0.0..=500.0);
         let (method, compared, estimator, range) = self.estimator.build(self.run.seed, check);
-        let geometric = self.estimator.geometric.map(|section| section.build(&range, check));
+        let geometric = self.estimator.geometric.as_ref().map(|section| section.build(&range, check));
         let leader = self.estimator.leader(method, geometric, check);
         let motion = (self.servo.speed_max_m_per_s(), &range);
         let sight = camera.build(motion, self.scene.as_ref(), check);
         let experiment = self.experiment.build(check);
         let size = sight.as_ref().map(|sight| sight.rig.left().size());
         let truth = self.truth.as_ref().map(|truth| truth.build(size, check)).unwrap_or_default();
-        let drift = self.drift.map(|section| section.build(check));
+        let drift = self.drift.build("drift", check);
         let arms = all_arms.build(arm_tables, control_period_millis, check);
         let mounts = self.mounts.build(check);
         let controller = self.servo.build(&mounts, check);

@@ -14,9 +14,7 @@ pub(super) fn search_range([z_min_mm, z_max_mm, tilt_max_deg]: [f64; 3], check: 
     check.number(KEYS[0], z_min_mm, in_mm(SearchRange::Z_M));
     check.number(KEYS[1], z_max_mm, in_mm(range.z_max_m_allowed()));
     check.number(KEYS[2], tilt_max_deg, in_deg(SearchRange::TILT_MAX_RAD));
-    if let (true, Err(error)) = (check.is_clean(), range.validate()) {
-        check.refuse(format!("estimator: {error}"));
-    }
+    check.together("estimator", range.validate());
     range
 }
 
