@@ -1,7 +1,7 @@
 //! Accuracy of the estimators on rendered scenes with known truth, compared with the Cramér-Rao bound.
 //!
 //! [`cells`] lists the configurations for single pairs, [`sequences`] those for moving targets, and [`ensembles`] those of
-//! many short sequences each, also with disturbed cameras; [`bound`] computes the Cramér-Rao bound, [`limits`] checks the required accuracy, and [`page`] writes the document.
+//! many short sequences each, also with disturbed cameras; [`bound`] computes the Cramér-Rao bound, [`limits`] checks the required accuracy, and [`page`] has tables and figures.
 
 mod bound;
 mod cell;
@@ -9,44 +9,39 @@ mod cells;
 mod chi_square;
 mod conditions;
 pub mod dump;
-mod ensemble_summary;
 mod ensembles;
 pub mod figures;
 mod first_pose;
 mod limits;
 mod measure;
 mod page;
-mod plot;
 mod random;
-mod scenes;
+pub mod scenes;
 mod score_curve;
 mod sequence_summary;
 mod sequences;
 mod summary;
-mod table;
 mod track;
 mod trial;
 
-use std::path::{Path, PathBuf};
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::path::PathBuf;
 
 use anyhow::{Context, bail};
+use pb3dp_benchmarks::circumstances::Circumstances;
+use pb3dp_benchmarks::figure::panels;
+use pb3dp_benchmarks::page::{save, update};
+use pb3dp_benchmarks::parallel::in_parallel;
+use pb3dp_benchmarks::table::{Column, head, row};
 use pb3dp_estimation::estimator::Method;
 use pb3dp_sim::targets::TargetConfig;
-use serde_json::json;
+use serde_json::{Value, json};
 
-use crate::common::circumstances::Circumstances;
-use ensemble_summary::EnsembleSummary;
 use ensembles::EnsembleSpec;
-use first_pose::FirstPoses;
 use limits::{Check, Standing};
 use measure::Options;
-use page::Findings;
 use scenes::SceneStore;
-use sequence_summary::SequenceSummary;
+use sequence_summary::{SequenceRow, ensemble_row};
 use sequences::SequenceSpec;
-use summary::Summary;
 
 const KEPT: &str = "out/bench/accuracy.json";
 const PAGE: &str = "docs/benchmarks/accuracy.md";
@@ -108,7 +103,7 @@ impl Args {
 
     fn ensembles(&self) -> Vec<EnsembleSpec> {
         // The published method has no covariance, and does not follow these motions.
-        let wanted = ensembles::all().into_iter().filter(|spec| self.wants(&spec.name));
+        let wanted = ensembles::all().into_iter().filter(|spec| self.wants(&spec.common.name));
         let wanted = wanted.filter(|_| self.methods().contains(&Method::Direct));
         if self.quick { wanted.map(EnsembleSpec::quick).collect() } else { wanted.collect() }
     }
@@ -117,6 +112,26 @@ impl Args {
         let all = sequences::all().into_iter().chain(self.long.then(sequences::long));
         let wanted = all.filter(|sequence| self.wants(&sequence.name));
         if self.quick { wanted.filter_map(SequenceSpec::quick).collect() } else { wanted.collect() }
+    }
+}
+
+/// Prints rows as they are measured: lines of JSON, or of a table.
+#[derive(Clone, Copy)]
+struct Printer<'a> {
+    columns: &'a [Column<'a>],
+    as_json: bool,
+}
+
+impl<'a> Printer<'a> {
+    fn begin(columns: &'a [Column<'a>], count: usize, as_json: bool) -> Self {
+        if count > 0 && !as_json {
+            print!("\n{}", head(columns));
+        }
+        Self { columns, as_json }
+    }
+
+    fn print(&self, measured: &Value) {
+        if self.as_json { println!("{measured}") } else { print!("{}", row(self.columns, measured)) }
     }
 }
 
@@ -136,101 +151,73 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if cells.is_empty() && specs.is_empty() && ensembles.is_empty() && objects.is_empty() {
         bail!("no configuration, sequence or ensemble has a name with {}", args.only.join(" or "));
     }
-    let summaries = measure_cells(&cells, &options, args.json)?;
-    let sequences = measure_sequences(&specs, &options, args.json)?;
+    let pairs = measure_cells(&cells, &options, args.json)?;
+    let followed = measure_sequences(&specs, &options, args.json)?;
+    let sequences: Vec<Value> = followed.iter().map(|found| found.row.clone()).collect();
     let ensembles = measure_ensembles(&ensembles, &options, args.json)?;
     let first_poses = measure_first_poses(&objects, &options, args.json)?;
-    let mut checks = limits::checks(&summaries, &sequences, &ensembles);
-    checks.extend(first_poses.iter().flat_map(limits::checks_of_first_poses));
-    let (seed, quick) = (args.seed, args.quick);
-    let findings = Findings { cells, summaries, sequences, ensembles, first_poses, checks, seed, quick };
+    let checks = limits::checks(&[&pairs[..], &sequences, &ensembles, &first_poses].concat());
     let circumstances = Circumstances::of(&args.root);
-    keep(&args.root, &findings, &circumstances)?;
+    let kept = json!({
+        "bench": "accuracy", "where": circumstances.to_json(), "seed": args.seed, "quick": args.quick,
+        "pairs": pairs, "sequences": sequences, "ensembles": ensembles, "first_poses": first_poses,
+        "limits": checks.iter().map(|check| check.to_json(args.quick)).collect::<Vec<_>>(),
+    });
+    save(&args.root.join(KEPT), &format!("{kept:#}\n"))?;
     if args.is_full() && !args.no_docs {
-        document(&args.root, &findings, &circumstances)?;
+        let page = args.root.join(PAGE);
+        update(&page, &page::parts(&kept, &circumstances.line()))?;
+        save(&page.with_extension("svg"), &page::accuracy_figure(&cells, &pairs))?;
+        let drawn = followed.iter().filter(|found| found.row["sequence"] == DRAWN_SEQUENCE);
+        let drawn = panels(&page::sequence_panels(drawn, "frame"), 2, &[DRAWN_SEQUENCE.to_owned()]);
+        save(&page.with_file_name("accuracy_sequence.svg"), &drawn)?;
     }
-    conclude(&findings.checks, args.quick)
+    conclude(&checks, args.quick)
 }
 
-fn measure_cells(cells: &[cell::Cell], options: &Options, as_json: bool) -> anyhow::Result<Vec<Summary>> {
+fn measure_cells(cells: &[cell::Cell], options: &Options, as_json: bool) -> anyhow::Result<Vec<Value>> {
+    let printer = Printer::begin(&summary::COLUMNS, cells.len(), as_json);
     let mut scenes = SceneStore::default();
-    let mut summaries = Vec::new();
-    if !cells.is_empty() && !as_json {
-        println!("{}", table::line(&table::HEADINGS.map(str::to_owned)));
-    }
+    let mut rows = Vec::new();
     for cell in cells {
         let measured = measure::measure_cell(cell, options, &mut scenes)?;
         for (index, method) in options.methods.iter().enumerate() {
-            let summary = Summary::of(cell, method.name(), index, &measured);
-            if as_json {
-                println!("{}", summary.to_json());
-            } else {
-                println!("{}", table::line(&table::row(&summary)));
-            }
-            summaries.push(summary);
+            let row = summary::summary(cell, method.name(), index, &measured);
+            printer.print(&row);
+            rows.push(row);
         }
     }
-    Ok(summaries)
+    Ok(rows)
 }
 
 /// Runs the sequences, one per thread.
-fn measure_sequences(specs: &[SequenceSpec], options: &Options, as_json: bool) -> anyhow::Result<Vec<SequenceSummary>> {
-    if !specs.is_empty() && !as_json {
-        println!("\n{}", sequence_summary::line(&sequence_summary::HEADINGS.map(str::to_owned)));
-    }
-    let queue = Mutex::new(specs.iter().enumerate());
-    let found = Mutex::new(Vec::new());
-    let work = || -> anyhow::Result<()> {
-        let mut scenes = SceneStore::default();
-        loop {
-            let next = queue.lock().ok().and_then(|mut queue| queue.next());
-            let Some((index, spec)) = next else { return Ok(()) };
-            let rows = track::run_sequence(spec, &options.methods, options.seed, &mut scenes)
-                .with_context(|| format!("sequence {}", spec.name))?;
-            for row in &rows {
-                if as_json {
-                    println!("{}", row.to_json());
-                } else {
-                    println!("{}", sequence_summary::line(&sequence_summary::row(row)));
-                }
-            }
-            if let Ok(mut found) = found.lock() {
-                found.push((index, rows));
-            }
-        }
-    };
-    std::thread::scope(|scope| {
-        let threads: Vec<_> = (0..options.threads.max(1)).map(|_| scope.spawn(work)).collect();
-        threads.into_iter().try_for_each(|thread| match thread.join() {
-            Ok(result) => result,
-            Err(panic) => std::panic::resume_unwind(panic),
-        })
+fn measure_sequences(specs: &[SequenceSpec], options: &Options, as_json: bool) -> anyhow::Result<Vec<SequenceRow>> {
+    let printer = Printer::begin(&sequence_summary::COLUMNS, specs.len(), as_json);
+    let begin = || Ok(SceneStore::default());
+    let rows = in_parallel(specs.len(), options.threads, begin, |scenes, index| {
+        let spec = &specs[index];
+        let rows = track::run_sequence(spec, &options.methods, options.seed, scenes)
+            .with_context(|| format!("sequence {}", spec.name))?;
+        rows.iter().for_each(|found| printer.print(&found.row));
+        Ok(rows)
     })?;
-    let mut found = found.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
-    found.sort_by_key(|(index, _)| *index);
-    Ok(found.into_iter().flat_map(|(_, rows)| rows).collect())
+    Ok(rows.into_iter().flatten().collect())
 }
 
 /// Runs the ensembles one after the other, and the sequences of each on all threads.
-fn measure_ensembles(specs: &[EnsembleSpec], options: &Options, as_json: bool) -> anyhow::Result<Vec<EnsembleSummary>> {
-    if !specs.is_empty() && !as_json {
-        println!("\n{}", ensemble_summary::line(&ensemble_summary::HEADINGS.map(str::to_owned)));
-    }
-    let mut found = Vec::new();
+fn measure_ensembles(specs: &[EnsembleSpec], options: &Options, as_json: bool) -> anyhow::Result<Vec<Value>> {
+    let printer = Printer::begin(&sequence_summary::ENSEMBLE_COLUMNS, specs.len(), as_json);
+    let mut rows = Vec::new();
     for spec in specs {
-        let runs = in_parallel(spec.sequences, options.threads, |index| {
-            let scenes = &mut SceneStore::default();
+        let begin = || Ok(SceneStore::default());
+        let runs = in_parallel(spec.sequences, options.threads, begin, |scenes, index| {
             track::follow(&spec.member(options.seed, index), &[Method::Direct], options.seed, scenes)
         });
-        let summary = EnsembleSummary::of(spec, Method::Direct.name(), &runs.with_context(|| spec.name.clone())?);
-        if as_json {
-            println!("{}", summary.to_json());
-        } else {
-            println!("{}", ensemble_summary::line(&ensemble_summary::row(&summary)));
-        }
-        found.push(summary);
+        let row = ensemble_row(spec, Method::Direct.name(), &runs.with_context(|| spec.common.name.clone())?);
+        printer.print(&row);
+        rows.push(row);
     }
-    Ok(found)
+    Ok(rows)
 }
 
 /// The first poses of all objects.
@@ -238,87 +225,20 @@ fn measure_first_poses(
     objects: &[(&str, TargetConfig)],
     options: &Options,
     as_json: bool,
-) -> anyhow::Result<Vec<FirstPoses>> {
+) -> anyhow::Result<Vec<Value>> {
+    let printer = Printer::begin(&first_pose::COLUMNS, objects.len(), as_json);
     let moved_s = (!options.quick).then_some(first_pose::MOVED_S);
-    let found = in_parallel(objects.len(), options.threads, |index| {
-        let (name, target) = objects[index];
-        first_pose::measure(name, target, options.seed, first_pose::STARTS, moved_s)
-    })?;
-    if as_json {
-        found.iter().for_each(|row| println!("{}", row.to_json()));
-    } else if !found.is_empty() {
-        println!("\n{}", table::markdown(&FirstPoses::HEADINGS, found.iter().map(FirstPoses::row)));
-    }
-    Ok(found)
-}
-
-/// Results of `work` for the numbers below `count`, in their order; the first error of any thread.
-fn in_parallel<T: Send>(
-    count: usize,
-    threads: usize,
-    work: impl Fn(usize) -> anyhow::Result<T> + Sync,
-) -> anyhow::Result<Vec<T>> {
-    let (next, results) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
-    let run = || -> anyhow::Result<()> {
-        loop {
-            let index = next.fetch_add(1, Ordering::Relaxed);
-            if index >= count {
-                return Ok(());
-            }
-            let result = work(index)?;
-            if let Ok(mut results) = results.lock() {
-                results.push((index, result));
-            }
-        }
-    };
-    std::thread::scope(|scope| {
-        let threads: Vec<_> = (0..threads.max(1)).map(|_| scope.spawn(run)).collect();
-        threads.into_iter().try_for_each(|thread| match thread.join() {
-            Ok(result) => result,
-            Err(panic) => std::panic::resume_unwind(panic),
-        })
-    })?;
-    let mut results = results.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
-    results.sort_by_key(|(index, _)| *index);
-    Ok(results.into_iter().map(|(_, result)| result).collect())
-}
-
-/// Saves the results as JSON.
-fn keep(root: &Path, findings: &Findings, circumstances: &Circumstances) -> anyhow::Result<()> {
-    let checks: Vec<_> = findings
-        .checks
-        .iter()
-        .map(|check| {
-            json!({
-                "name": check.name, "method": check.method, "figure": check.figure,
-                "measured": check.measured.is_finite().then_some(check.measured), "max": check.max,
-                "kept": check.holds(findings.quick), "open": matches!(check.standing(findings.quick), Standing::Open(_)),
-            })
-        })
-        .collect();
-    let kept = json!({
-        "bench": "accuracy", "where": circumstances.to_json(), "seed": findings.seed, "quick": findings.quick,
-        "pairs": findings.summaries.iter().map(Summary::to_json).collect::<Vec<_>>(),
-        "sequences": findings.sequences.iter().map(SequenceSummary::to_json).collect::<Vec<_>>(),
-        "ensembles": findings.ensembles.iter().map(EnsembleSummary::to_json).collect::<Vec<_>>(),
-        "first_poses": findings.first_poses.iter().map(FirstPoses::to_json).collect::<Vec<_>>(),
-        "limits": checks,
-    });
-    write(&root.join(KEPT), &format!("{kept:#}\n"))
-}
-
-fn document(root: &Path, findings: &Findings, circumstances: &Circumstances) -> anyhow::Result<()> {
-    let page = root.join(PAGE);
-    write(&page, &page::page(findings, circumstances))?;
-    write(&page.with_extension("svg"), &page::accuracy_figure(findings))?;
-    write(&page.with_file_name("accuracy_sequence.svg"), &page::sequence_figure(findings, DRAWN_SEQUENCE))
-}
-
-fn write(path: &Path, text: &str) -> anyhow::Result<()> {
-    if let Some(folder) = path.parent() {
-        std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
-    }
-    std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))
+    in_parallel(
+        objects.len(),
+        options.threads,
+        || Ok(()),
+        |(), index| {
+            let (name, target) = objects[index];
+            let row = first_pose::measure(name, target, options.seed, first_pose::STARTS, moved_s)?;
+            printer.print(&row);
+            Ok(row)
+        },
+    )
 }
 
 /// Reports the limits that are not met.

@@ -2,7 +2,6 @@
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program that reports to its user")]
 
 mod accuracy;
-mod common;
 mod real;
 mod speed;
 

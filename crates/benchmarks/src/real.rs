@@ -1,7 +1,7 @@
 //! Accuracy on real stereo cases: our methods and other tools on pairs with known truth.
 //!
 //! Every method gets the same input: both images, the region, the calibration and the search range of the case. [`score`]
-//! defines the pass criteria; [`table`] computes the rows, [`page`] writes the document and [`plot`] its figure.
+//! defines the pass criteria; [`table`] computes the rows, and [`page`] has tables and figure.
 
 pub mod cases;
 mod first_poses;
@@ -9,20 +9,20 @@ mod left_out;
 mod ours;
 mod page;
 mod peers;
-mod plot;
 mod score;
 mod sequences;
 mod table;
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::bail;
+use pb3dp_benchmarks::circumstances::{Circumstances, check_root};
+use pb3dp_benchmarks::page::{save, text, update};
 use pb3dp_estimation::estimator::Method;
 use pb3dp_record::dataset::load_case;
-use serde_json::{Value, json};
+use serde_json::json;
 
 use self::score::Entry;
-use crate::common::circumstances::Circumstances;
 
 /// The boards of this repository, used without `--cases`.
 const OWN_CASES: &str = "tests/data/cases";
@@ -96,22 +96,30 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     let peers_script = args.peers.as_deref().map(peers::script_in).transpose()?;
     let entries = measure(args, &folder, peers_script.as_deref())?;
+    let circumstances = Circumstances::of(&args.root);
+    let parts = page::parts(&entries, &command_line(args), &circumstances.line());
     if args.json {
         entries.iter().for_each(|entry| println!("{}", entry.to_json()));
     } else {
-        print!("{}", table::text(&entries));
+        print!("{}", text(&parts));
     }
     if args.failures {
-        eprint!("{}", table::failures(&entries));
+        eprint!("{}", table::failures(entries.iter()));
     }
-    keep(args, &entries)
-}
-
-fn check_root(root: &Path) -> anyhow::Result<()> {
-    if !root.join("Cargo.toml").is_file() {
-        bail!("--root {} is not the workspace (no Cargo.toml): give the root folder of the clone", root.display());
+    let kept = json!({
+        "bench": "real",
+        "cases": args.cases.as_ref().map_or(OWN_CASES, |_| "given"),
+        "where": circumstances.to_json(),
+        "summary": table::groups(&entries).into_iter().flat_map(|(_, rows)| rows).collect::<Vec<_>>(),
+        "results": entries.iter().map(Entry::to_json).collect::<Vec<_>>(),
+    });
+    save(&args.root.join(KEPT), &format!("{kept:#}\n"))?;
+    // The page is that of given cases.
+    if args.no_docs || args.cases.is_none() || args.filter.is_some() {
+        return Ok(());
     }
-    Ok(())
+    save(&args.root.join(FIGURE), &page::figure(&entries))?;
+    update(&args.root.join(PAGE), &parts)
 }
 
 /// Runs our methods and then the other tools on all cases.
@@ -141,41 +149,8 @@ fn measure(args: &Args, folder: &Path, peers_script: Option<&Path>) -> anyhow::R
     if let Some(lines) = peers {
         entries.extend(peers::entries(&lines, &facts, "peers.py")?);
     }
-    for file in &args.peer_results {
-        let text =
-            std::fs::read_to_string(file).with_context(|| format!("cannot read --peer-results {}", file.display()))?;
-        entries.extend(peers::entries(&text, &facts, &file.display().to_string())?);
-    }
+    entries.extend(peers::entries_of_files(&args.peer_results, &facts)?);
     Ok(entries)
-}
-
-/// Saves the results with their circumstances, and with `--cases` also the page and its figure.
-fn keep(args: &Args, entries: &[Entry]) -> anyhow::Result<()> {
-    let circumstances = Circumstances::of(&args.root);
-    let results: Vec<Value> = entries.iter().map(Entry::to_json).collect();
-    let kept = json!({
-        "bench": "real",
-        "cases": args.cases.as_ref().map_or(OWN_CASES, |_| "given"),
-        "where": circumstances.to_json(),
-        "summary": table::summary_json(entries),
-        "results": results,
-    });
-    write(&args.root, KEPT, &format!("{kept:#}\n"))?;
-    if args.no_docs || args.cases.is_none() || args.filter.is_some() {
-        return Ok(());
-    }
-    write(&args.root, FIGURE, &plot::svg(entries))?;
-    write(&args.root, PAGE, &page::markdown(entries, &circumstances, &command_line(args)))
-}
-
-fn write(root: &Path, path: &str, text: &str) -> anyhow::Result<()> {
-    let file = root.join(path);
-    if let Some(folder) = file.parent() {
-        std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
-    }
-    std::fs::write(&file, text).with_context(|| format!("cannot write {}", file.display()))?;
-    eprintln!("written: {path}");
-    Ok(())
 }
 
 /// The command that writes the page again, without the folders of this machine.

@@ -1,15 +1,11 @@
 //! Speed of the direct method: cold start, tracking, kernels, and the influence of sizes and counts.
 //!
-//! [`cold`] measures single pairs, with [`stages`] for the parts, and [`raw`] the same on raw images; [`tracking`] measures
-//! sequences, and [`scaling`] the influence of sizes and counts. [`clips`] renders the images, [`goals`] defines the limits,
-//! [`page`] writes the document and [`plot`] its figure.
+//! [`cold`] measures single pairs, with [`stages`] for the parts; [`tracking`] measures sequences, and [`scaling`] the influence of sizes
+//! and counts. [`clips`] renders the images, and [`page`] has goals, tables and figure.
 
 mod clips;
 mod cold;
-mod goals;
 mod page;
-mod plot;
-mod raw;
 mod scaling;
 mod stages;
 mod times;
@@ -17,10 +13,11 @@ mod tracking;
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::bail;
+use pb3dp_benchmarks::circumstances::{Circumstances, check_root};
+use pb3dp_benchmarks::limit::Check;
+use pb3dp_benchmarks::page::{save, text, update};
 use serde_json::{Value, json};
-
-use crate::common::circumstances::Circumstances;
 
 const KEPT: &str = "out/bench/speed.json";
 const PAGE: &str = "docs/benchmarks/speed.md";
@@ -54,16 +51,6 @@ pub struct Args {
     root: PathBuf,
 }
 
-/// All results.
-pub struct Findings {
-    sizes: Vec<cold::SizeRow>,
-    raw: Vec<raw::RawRow>,
-    real: Option<cold::RealRows>,
-    tracking: tracking::TrackingRow,
-    kernels: Vec<cold::KernelRow>,
-    scaling: Vec<scaling::ScalingRow>,
-}
-
 /// Rounds of a quick run.
 const QUICK_ROUNDS: usize = 40;
 /// A quick run uses one case of this many.
@@ -74,27 +61,23 @@ const QUICK_EVERY: usize = 10;
 /// # Errors
 /// A folder or file that cannot be used, by name; with `--check`, a missed goal.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    if !args.root.join("Cargo.toml").is_file() {
-        bail!("--root {} is not the workspace (no Cargo.toml): give the root folder of the clone", args.root.display());
-    }
-    let findings = measure(args)?;
+    check_root(&args.root)?;
     let circumstances = Circumstances::of(&args.root);
-    let published = published(&args.root);
-    let page = page::markdown(&findings, published.as_ref(), &circumstances, &command_line(args));
-    let kept = kept(&findings, published.as_ref(), &circumstances);
+    let kept = measure(args, &circumstances)?;
+    let parts = page::parts(&kept, &command_line(args), &circumstances.line());
     if args.json {
         println!("{kept}");
     } else {
-        print!("{page}");
+        print!("{}", text(&parts));
     }
-    write(&args.root, KEPT, &format!("{kept:#}\n"))?;
+    save(&args.root.join(KEPT), &format!("{kept:#}\n"))?;
     if !args.quick && !args.no_docs {
-        write(&args.root, PAGE, &page)?;
-        write(&args.root, FIGURE, &plot::svg(&findings.sizes))?;
+        update(&args.root.join(PAGE), &parts)?;
+        save(&args.root.join(FIGURE), &page::figure(&kept))?;
     }
-    let missed: Vec<_> = goals::goals(&findings).into_iter().filter(|goal| !goal.is_reached()).collect();
-    for goal in &missed {
-        eprintln!("missed: {} is {:.2} ms, the goal is {:.2} ms", goal.name, goal.found_ms, goal.limit_ms);
+    let missed: Vec<Check> = page::goals(&kept).into_iter().filter(|goal| !goal.is_kept()).collect();
+    for Check { what, found, most, unit } in &missed {
+        eprintln!("missed: {what} is {:.2} {unit}, the goal is {most:.2} {unit}", found.unwrap_or(f64::NAN));
     }
     if args.check && !missed.is_empty() {
         bail!("{} goals are missed", missed.len());
@@ -102,7 +85,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn measure(args: &Args) -> anyhow::Result<Findings> {
+fn measure(args: &Args, circumstances: &Circumstances) -> anyhow::Result<Value> {
     let rounds = if args.quick { QUICK_ROUNDS } else { args.rounds as usize };
     let every = if args.quick { QUICK_EVERY } else { 1 };
     let real = args.cases.as_deref().map(|folder| {
@@ -113,36 +96,27 @@ fn measure(args: &Args) -> anyhow::Result<Findings> {
     eprintln!("cold start by size");
     let sizes = cold::sizes(rounds)?;
     eprintln!("cold start on raw images");
-    let raw = raw::raw(rounds)?;
+    let raw = cold::raw(rounds)?;
     eprintln!("tracking");
     let tracking = tracking::tracking(4 * rounds)?;
     eprintln!("kernels");
     let mut kernels = cold::kernels(rounds)?;
-    kernels.insert(1, raw::kernels(rounds)?);
     kernels.push(tracking::kernels(rounds)?);
     eprintln!("scaling");
     let scaling = scaling::scaling(rounds)?;
-    Ok(Findings { sizes, raw, real, tracking, kernels, scaling })
-}
-
-fn kept(findings: &Findings, published: Option<&Value>, circumstances: &Circumstances) -> Value {
-    let list = |values: Vec<Value>| Value::Array(values);
-    json!({
+    let mut kept = json!({
         "bench": "speed",
         "where": circumstances.to_json(),
-        "goals": list(goals::goals(findings).iter().map(goals::Goal::to_json).collect()),
-        "cold_start_by_size": list(findings.sizes.iter().map(cold::SizeRow::to_json).collect()),
-        "cold_start_on_raw_images": list(findings.raw.iter().map(raw::RawRow::to_json).collect()),
-        "cold_start_on_cases": findings.real.as_ref().map(|real| json!({
-            "rows": list(real.rows.iter().map(cold::CasesRow::to_json).collect()),
-            "row_measurement": real.row_measurement.to_json(),
-            "first_call": real.first_call.to_json(),
-        })),
-        "tracking": findings.tracking.to_json(),
-        "kernels": list(findings.kernels.iter().map(cold::KernelRow::to_json).collect()),
-        "scaling": list(findings.scaling.iter().map(scaling::ScalingRow::to_json).collect()),
-        "published": published,
-    })
+        "cold_start_by_size": sizes,
+        "cold_start_on_raw_images": raw,
+        "cold_start_on_cases": real,
+        "tracking": tracking,
+        "kernels": kernels,
+        "scaling": scaling,
+        "published": published(&args.root),
+    });
+    kept["goals"] = page::goals(&kept).iter().map(Check::to_json).collect();
+    Ok(kept)
 }
 
 /// The JSON object from the published method's program, if it ran.
@@ -150,16 +124,6 @@ fn published(root: &Path) -> Option<Value> {
     let text = std::fs::read_to_string(root.join(PUBLISHED)).ok()?;
     let kept: Value = serde_json::from_str(&text).ok()?;
     kept["results"].get(0).filter(|found| found["pairs"].is_array()).cloned()
-}
-
-fn write(root: &Path, path: &str, text: &str) -> anyhow::Result<()> {
-    let file = root.join(path);
-    if let Some(folder) = file.parent() {
-        std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
-    }
-    std::fs::write(&file, text).with_context(|| format!("cannot write {}", file.display()))?;
-    eprintln!("written: {path}");
-    Ok(())
 }
 
 /// The command that writes the page again, without the folders of this machine.

@@ -16,7 +16,8 @@ use pb3dp_estimation_core::plane_hypothesis::{PlaneHypothesis, SearchRange};
 use pb3dp_estimation_core::region::RegionConfig;
 use pb3dp_estimation_core::status::{Status, Verdict};
 use pb3dp_geometry::StereoRig;
-use pb3dp_geometry::ranges::{self, check_range};
+use pb3dp_geometry::ranges;
+use pb3dp_geometry::ranges::check_range;
 
 use crate::fitness::FitnessConfig;
 use crate::hue::HueConfig;

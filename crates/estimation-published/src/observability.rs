@@ -8,7 +8,6 @@
 //! cannot detect a bias common to all points (a wrong calibration, relief). The spreads are therefore not reported as standard
 //! deviations.
 
-use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::status::{Status, Verdict};
 use pb3dp_geometry::ranges;
 

@@ -5,69 +5,108 @@
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program that reports to its user")]
 #![allow(clippy::expect_used, reason = "the inputs of the benchmark are valid")]
 
-mod machine;
 mod measure;
-mod report;
 
+use std::path::Path;
 use std::process::ExitCode;
 
-const HELP: &str = "\
-Measures the published method: ns per sample, a full frame in ms, ratio to the naive version.
+use pb3dp_benchmarks::circumstances::Circumstances;
+use pb3dp_benchmarks::page;
+use pb3dp_benchmarks::table::{Column, cell, markdown, number};
+use pb3dp_estimation_core::cpu::KernelSet;
+use serde_json::{Value, json};
 
-  --json       one JSON object on stdout instead of the table
-  --check      exit with 1 if a goal is missed
-  --rounds N   measurements per figure, 5 to 100000 (default 300); medians are reported
-  --help       this text";
-
+/// Measures the published method: ns per sample, a full frame in ms, ratio to the naive version.
+#[derive(clap::Parser)]
 struct Options {
+    // `cargo xtask bench` looks for "--json" in this file.
+    /// One JSON object instead of the table.
+    #[arg(long)]
     json: bool,
+    /// Exit with 1 if a goal is missed.
+    #[arg(long)]
     check: bool,
-    rounds: usize,
-}
-
-fn parse(mut arguments: impl Iterator<Item = String>) -> Result<Option<Options>, String> {
-    let mut options = Options { json: false, check: false, rounds: 300 };
-    while let Some(argument) = arguments.next() {
-        match argument.as_str() {
-            "--json" => options.json = true,
-            "--check" => options.check = true,
-            "--rounds" => {
-                let value = arguments.next().unwrap_or_default();
-                options.rounds = value
-                    .parse()
-                    .ok()
-                    .filter(|rounds| (5..=100_000).contains(rounds))
-                    .ok_or_else(|| format!("--rounds is '{value}', not a number from 5 to 100000"))?;
-            }
-            "--help" | "-h" => return Ok(None),
-            other => return Err(format!("unknown option '{other}': see --help")),
-        }
-    }
-    Ok(Some(options))
+    /// Measurements per figure; medians are reported.
+    #[arg(long, value_name = "NUMBER", default_value_t = 300, value_parser = clap::value_parser!(u32).range(5..=100_000))]
+    rounds: u32,
 }
 
 fn main() -> ExitCode {
-    let options = match parse(std::env::args().skip(1)) {
-        Ok(Some(options)) => options,
-        Ok(None) => {
-            println!("{HELP}");
-            return ExitCode::SUCCESS;
-        }
-        Err(message) => {
-            eprintln!("{message}");
-            return ExitCode::from(2);
-        }
-    };
-    let results: Vec<_> = measure::PAIRS.into_iter().map(|pair| measure::run(pair, options.rounds)).collect();
-    let machine = machine::Machine::read();
+    let options: Options = clap::Parser::parse();
+    let rounds = options.rounds as usize;
+    let results: Vec<_> = measure::PAIRS.into_iter().map(|pair| measure::run(pair, rounds)).collect();
+    let missed = missed_goals(&results);
+    let circumstances = Circumstances::of(Path::new("."));
     if options.json {
-        println!("{}", report::json(&machine, options.rounds, &results));
+        let origin = circumstances.to_json();
+        println!(
+            "{}",
+            json!({
+                "bench": "speed", "where": origin, "seed": measure::SEED, "rounds": rounds,
+                "goals_met": missed.is_empty(), "pairs": results,
+            })
+        );
     } else {
-        print!("{}", report::table(&machine, options.rounds, &results));
+        print!("{}", text(&circumstances, rounds, &results));
     }
-    let missed = report::missed_goals(&results);
     for goal in &missed {
         eprintln!("missed: {goal}");
     }
     if options.check && !missed.is_empty() { ExitCode::FAILURE } else { ExitCode::SUCCESS }
+}
+
+/// Goal: maximum milliseconds of a full frame with AVX2 or better.
+const FRAME_GOAL_MS: f64 = 0.6;
+/// Goal: minimum ratio of the naive version's time per sample, preparation included, to that of AVX2 or better: for each pair.
+const RATIO_GOALS: [(&str, f64); 2] = [("rectified", 25.0), ("general", 12.0)];
+
+/// The goals that the vector kernels miss, as messages.
+fn missed_goals(results: &[Value]) -> Vec<String> {
+    let mut missed = Vec::new();
+    for (pair, (name, ratio_goal)) in results.iter().zip(RATIO_GOALS) {
+        let kernels = pair["kernels"].as_array().into_iter().flatten();
+        for row in kernels.filter(|row| row["kernels"] != KernelSet::Scalar.name()) {
+            let name = format!("{name} pair, {}", cell("{kernels}", row));
+            let figure = |path: &str| number(row, path).unwrap_or(f64::NAN);
+            let (frame_ms, ratio) = (figure("frame_ms"), figure("ratio_to_naive"));
+            if frame_ms > FRAME_GOAL_MS {
+                missed.push(format!("{name}: a frame takes {frame_ms:.3} ms, the goal is {FRAME_GOAL_MS} ms"));
+            }
+            if ratio <= ratio_goal {
+                missed.push(format!("{name}: {ratio:.1} times faster than naive, the goal is more than {ratio_goal}"));
+            }
+        }
+    }
+    missed
+}
+
+const COLUMNS: [Column<'_>; 12] = [
+    ("kernels", "{kernels}"),
+    ("ns/sample", "{ns_per_sample:4}"),
+    ("min", "{ns_per_sample_min:4}"),
+    ("with prep.", "{ns_per_sample_with_preparation:4}"),
+    ("ratio", "{ratio_to_naive:1}"),
+    ("frame ms", "{frame_ms:3}"),
+    ("hues", "{conversions_ms:3}"),
+    ("model", "{model_ms:3}"),
+    ("prep.", "{preparation_ms:3}"),
+    ("search", "{search_ms:3}"),
+    ("frame min", "{frame_min_ms:3}"),
+    ("|dF| max", "{fitness_difference_max:4}"),
+];
+
+fn text(circumstances: &Circumstances, rounds: usize, results: &[Value]) -> String {
+    let run = format!(
+        "{} Seed {}, medians of {rounds} rounds, one thread.\n\
+         A frame is two 640x480 conversions, the model, the preparation, and 60 individuals x 9 generations.",
+        circumstances.line(),
+        measure::SEED
+    );
+    let points = "{inner_points} inner + {outer_points} outer points, naive {naive_ns_per_sample:2} ns per sample (min {naive_ns_per_sample_min:2})";
+    let pair = |(result, (name, _)): (&Value, (&'static str, f64))| {
+        let kernels = result["kernels"].as_array().cloned().unwrap_or_default();
+        (name, format!("{}\n\n{}", cell(points, result), markdown(&COLUMNS, &kernels)))
+    };
+    let pairs = results.iter().zip(RATIO_GOALS).map(pair);
+    page::text(&std::iter::once(("run", run)).chain(pairs).collect::<Vec<_>>())
 }

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use image::RgbImage;
 use nalgebra::Vector2;
-use pb3dp_estimation_core::cpu::{KernelSet, Kernels};
+use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::plane_hypothesis::{PinholePair, PlaneHypothesis, SearchRange};
 use pb3dp_estimation_core::region::RegionMask;
 use pb3dp_estimation_published::fitness::{FitnessConfig, HueFitness};
@@ -16,6 +16,7 @@ use pb3dp_estimation_published::search::rmga::{Population, RmGa, RmGaConfig};
 use pb3dp_estimation_test_support::naive::{self, Naive};
 use pb3dp_estimation_test_support::scene::{self, Scene};
 use pb3dp_geometry::{ImageSize, StereoRig};
+use serde_json::{Value, json};
 
 const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
 /// Batches of 60 that are scored per clock reading.
@@ -48,38 +49,8 @@ impl PairKind {
     }
 }
 
-/// Medians for one kind of pair.
-pub struct PairResult {
-    pub kind: PairKind,
-    pub points: (usize, usize),
-    pub naive_ns_per_sample: f64,
-    pub naive_ns_per_sample_min: f64,
-    pub kernels: Vec<KernelResult>,
-}
-
-/// Medians of one kernel family.
-pub struct KernelResult {
-    pub set: KernelSet,
-    /// Scoring 60 hypotheses, including their preparation.
-    pub ns_per_sample: f64,
-    pub ns_per_sample_min: f64,
-    /// The same, with the frame's preparation (copies of the points) divided among 9 generations.
-    pub ns_per_sample_with_preparation: f64,
-    pub frame: FrameTimes,
-    pub frame_min_ms: f64,
-    /// Largest difference of F from the naive version over the scored hypotheses.
-    pub fitness_difference_max: f64,
-}
-
-/// Parts of a full frame, milliseconds.
-#[derive(Clone, Copy, Default)]
-pub struct FrameTimes {
-    pub conversions_ms: f64,
-    pub model_ms: f64,
-    pub preparation_ms: f64,
-    pub search_ms: f64,
-    pub total_ms: f64,
-}
+/// Parts of a full frame, and the whole.
+const PARTS: [&str; 5] = ["conversions_ms", "model_ms", "preparation_ms", "search_ms", "frame_ms"];
 
 /// The frame used for all measurements.
 struct Input {
@@ -114,8 +85,8 @@ impl Input {
     }
 }
 
-/// Measures everything for one kind of stereo pair.
-pub fn run(kind: PairKind, rounds: usize) -> PairResult {
+/// Medians of everything for one kind of stereo pair.
+pub fn run(kind: PairKind, rounds: usize) -> Value {
     let input = Input::new(kind);
     let hue_config = HueConfig::default();
     let model =
@@ -134,14 +105,14 @@ pub fn run(kind: PairKind, rounds: usize) -> PairResult {
             bench.frame();
         }
     }
-    let kernels = benches.into_iter().zip(kernel_ns).map(|(bench, times)| bench.result(times, samples, &reference));
-    PairResult {
-        kind,
-        points: (model.inner().len(), model.outer().len()),
-        naive_ns_per_sample_min: min(&naive_ns),
-        naive_ns_per_sample: median(naive_ns),
-        kernels: kernels.collect(),
-    }
+    let naive_min = min(&naive_ns);
+    let naive = median(naive_ns);
+    let kernels =
+        benches.into_iter().zip(kernel_ns).map(|(bench, times)| bench.result(times, samples, &reference, naive));
+    json!({
+        "pair": kind.name(), "inner_points": model.inner().len(), "outer_points": model.outer().len(),
+        "naive_ns_per_sample": naive, "naive_ns_per_sample_min": naive_min, "kernels": kernels.collect::<Vec<_>>(),
+    })
 }
 
 fn naive_frame<'a>(input: &'a Input, model: &PhotoModel, config: &HueConfig) -> Naive<'a> {
@@ -180,7 +151,8 @@ struct Bench<'a> {
     fitness: HueFitness,
     search: RmGa,
     population: Population,
-    frames: Vec<FrameTimes>,
+    /// Times of [`PARTS`].
+    frames: Vec<[f64; PARTS.len()]>,
 }
 
 impl<'a> Bench<'a> {
@@ -233,37 +205,33 @@ impl<'a> Bench<'a> {
         black_box(search.evolve(population, &frame));
         let end = Instant::now();
         let ms = |from: Instant, to: Instant| (to - from).as_secs_f64() * 1e3;
-        self.frames.push(FrameTimes {
-            conversions_ms: ms(start, converted),
-            model_ms: ms(converted, modelled),
-            preparation_ms: ms(modelled, prepared),
-            search_ms: ms(prepared, end),
-            total_ms: ms(start, end),
-        });
+        self.frames.push([
+            ms(start, converted),
+            ms(converted, modelled),
+            ms(modelled, prepared),
+            ms(prepared, end),
+            ms(start, end),
+        ]);
     }
 
-    fn result(mut self, times: Vec<f64>, samples: f64, reference: &Naive<'_>) -> KernelResult {
-        let of = |part: fn(&FrameTimes) -> f64| median(self.frames.iter().map(part).collect());
-        let frame = FrameTimes {
-            conversions_ms: of(|t| t.conversions_ms),
-            model_ms: of(|t| t.model_ms),
-            preparation_ms: of(|t| t.preparation_ms),
-            search_ms: of(|t| t.search_ms),
-            total_ms: of(|t| t.total_ms),
-        };
-        let frame_min_ms = min(&self.frames.iter().map(|t| t.total_ms).collect::<Vec<_>>());
+    /// Scoring of 60 hypotheses, including their preparation; `with_preparation`: that of the frame (the match table of rectified pairs)
+    /// divided among 9 generations. Also the largest difference of F from the naive version.
+    fn result(mut self, times: Vec<f64>, samples: f64, reference: &Naive<'_>, naive_ns: f64) -> Value {
+        let part = |part: usize| self.frames.iter().map(|times| times[part]).collect::<Vec<f64>>();
         let generations = self.search.config().generations as f64;
-        let ns_per_sample_min = min(&times);
-        let ns_per_sample = median(times);
-        KernelResult {
-            set: self.kernels.set(),
-            ns_per_sample,
-            ns_per_sample_min,
-            ns_per_sample_with_preparation: ns_per_sample + frame.preparation_ms * 1e6 / (generations * samples),
-            frame,
-            frame_min_ms,
-            fitness_difference_max: self.fitness_difference_max(reference),
+        let (ns_min, frame_min_ms) = (min(&times), min(&part(4)));
+        let ns = median(times);
+        let with_preparation = ns + median(part(2)) * 1e6 / (generations * samples);
+        let mut row = json!({
+            "kernels": self.kernels.set().name(), "ns_per_sample": ns, "ns_per_sample_min": ns_min,
+            "ns_per_sample_with_preparation": with_preparation, "ratio_to_naive": naive_ns / with_preparation,
+            "frame_min_ms": frame_min_ms,
+        });
+        for (index, name) in PARTS.into_iter().enumerate() {
+            row[name] = median(part(index)).into();
         }
+        row["fitness_difference_max"] = self.fitness_difference_max(reference).into();
+        row
     }
 
     fn fitness_difference_max(&mut self, reference: &Naive<'_>) -> f64 {

@@ -12,6 +12,7 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail, ensure};
 use pb3dp_bag::reader::Bag;
 use pb3dp_bag::topics::ours;
+use pb3dp_benchmarks::page::update;
 use serde_json::Value;
 
 use crate::cameras::Long;
@@ -64,7 +65,7 @@ fn main() -> Result<()> {
     .join("\n");
     print!("{text}");
     if let Some(page) = &options.page {
-        std::fs::write(page, page_of(&options.origin, &text)).with_context(|| page.display().to_string())?;
+        update(page, &[("run", format!("{}\n\n{text}", options.origin))])?;
     }
     ensure!(limits.missed == 0, "limits are missed; see the last table");
     Ok(())
@@ -234,22 +235,4 @@ fn long(options: &Options, limits: &mut Limits) -> Result<String> {
     let missing = pairs + lost - read_back.min(pairs);
     limits.check(&format!("pairs of {format} that the file lacks"), &missing.to_string(), "0", found.is_whole());
     Ok(text)
-}
-
-fn page_of(origin: &str, tables: &str) -> String {
-    format!(
-        "# Cost of recordings
-
-This page is written by `cargo xtask bench recordings`; change the program, not the page.
-
-A live run (`pb3dp run --config hil`) in turn without and with `--record FILE.mcap`: two emulated arms behind serial lines, two rendered colour images of 640x480 at 30 Hz, recorded as `rgb8`.
-A run that is not recorded holds the newest 30 s in memory, as always.
-The cameras of the last table are two emulated V4L2 devices, 640x480 at 30 Hz.
-
-* **lateness**: from the moment at which a control step is due until it begins; medians over {ROUNDS} runs.
-
-{origin}
-
-{tables}"
-    )
 }

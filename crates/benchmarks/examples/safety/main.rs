@@ -22,13 +22,16 @@ mod workcell;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
+use clap::Parser;
 use digest::digest;
 use figures::Figures;
+use pb3dp_benchmarks::page::{text, update};
+use pb3dp_benchmarks::parallel::in_parallel;
 use pb3dp_hal_platform::cpu_time::timed;
 use rig::{Ran, run};
 use scenario::{Draw, RUN_S, Scenario};
@@ -47,70 +50,64 @@ const QUICK_RUNS: u64 = 200;
 /// Largest difference between the drawn and the actual time of camera faults, seconds; more would make the table wrong.
 const LEAD_OFF_MAX_S: f64 = 0.2;
 
-/// Command line options.
-struct Args {
-    seed: u64,
+/// Seeded runs with random faults, checked against the simulator's truth.
+#[derive(Parser)]
+struct Options {
+    /// Seed of the first run; without it a fresh one is drawn and printed.
+    #[arg(long, value_name = "NUMBER")]
+    seed: Option<u64>,
+    /// The draw of the scenarios: first, wide, stalls, starts or cells.
+    #[arg(long, value_parser = draw, default_value = Draw::PRESENT.name())]
     draw: Draw,
-    /// The seed was drawn, not given.
-    is_drawn: bool,
+    /// Number of runs.
+    #[arg(long, value_name = "NUMBER")]
+    runs: Option<u64>,
+    /// Number of these runs that are repeated with images.
+    #[arg(long, value_name = "NUMBER")]
+    rendered: Option<u64>,
+    /// 200 runs, and no page.
+    #[arg(long, conflicts_with_all = ["page", "runs"])]
+    quick: bool,
+    /// Prints all that happens.
+    #[arg(long)]
+    trace: bool,
+    /// Disables each safeguard, which must cause a violation.
+    #[arg(long)]
+    disabled: bool,
+    /// Only safeguards whose name contains this.
+    #[arg(long, default_value = "", value_name = "NAME")]
+    only: String,
+    /// Commit and machine, for the page.
+    #[arg(long, default_value = "unknown", value_name = "TEXT")]
+    origin: String,
+    /// Folder of the page.
+    #[arg(long, value_name = "FOLDER")]
+    page: Option<PathBuf>,
+}
+
+fn draw(name: &str) -> Result<Draw> {
+    Draw::named(name).context("give first, wide, stalls, starts or cells")
+}
+
+/// The options, and what follows from them.
+struct Args {
+    options: Options,
+    seed: u64,
     runs: u64,
     rendered: u64,
     /// The kept seeds are repeated, too.
     repeats_kept: bool,
-    trace: bool,
-    disabled: bool,
-    only: String,
-    origin: String,
-    page: Option<PathBuf>,
 }
 
 impl Args {
-    fn read(mut words: impl Iterator<Item = String>) -> Result<Self> {
-        let mut args = Self {
-            seed: 0,
-            draw: Draw::PRESENT,
-            is_drawn: false,
-            runs: RUNS,
-            rendered: 0,
-            repeats_kept: false,
-            trace: false,
-            disabled: false,
-            only: String::new(),
-            origin: "unknown".into(),
-            page: None,
-        };
-        let (mut is_whole, mut is_quick, mut seed, mut rendered) = (true, false, None, None);
-        while let Some(word) = words.next() {
-            let mut value = || words.next().with_context(|| format!("{word}: no value given"));
-            match word.as_str() {
-                "--seed" => seed = Some(value()?.parse().context("--seed: give a whole number")?),
-                "--draw" => {
-                    args.draw = Draw::named(&value()?).context("--draw: first, wide, stalls, starts or cells")?
-                }
-                "--runs" => (args.runs, is_whole) = (value()?.parse().context("--runs: give a whole number")?, false),
-                "--rendered" => rendered = Some(value()?.parse().context("--rendered: give a whole number")?),
-                "--quick" => (args.runs, is_whole, is_quick) = (QUICK_RUNS, false, true),
-                "--trace" => args.trace = true,
-                "--disabled" => args.disabled = true,
-                "--only" => args.only = value()?,
-                "--origin" => args.origin = value()?,
-                "--page" => args.page = Some(value()?.into()),
-                _ => bail!(
-                    "unknown option {word}; options: --seed N, --draw NAME, --runs N, --rendered N, --quick, --trace, --disabled, --only NAME, --page FOLDER, --origin TEXT"
-                ),
-            }
-        }
-        ensure!(!(is_quick && args.page.is_some()), "--quick writes no page: leave out --page");
-        args.rendered = rendered.unwrap_or(if is_whole { RENDERED } else { 0 });
-        args.repeats_kept = is_whole && !args.disabled;
+    fn of(options: Options) -> Result<Self> {
+        let is_whole = !options.quick && options.runs.is_none();
         // The proofs of the safeguards have seeds of their own.
-        (args.seed, args.is_drawn) = match (seed, args.disabled) {
-            (Some(seed), _) => (seed, false),
-            (None, true) => (1, false),
-            (None, false) => (drawn_seed(), true),
-        };
-        ensure!(args.runs + args.rendered > 0, "--runs and --rendered are both 0: give at least one run");
-        Ok(args)
+        let seed = options.seed.unwrap_or_else(|| if options.disabled { 1 } else { drawn_seed() });
+        let runs = options.runs.unwrap_or(if options.quick { QUICK_RUNS } else { RUNS });
+        let rendered = options.rendered.unwrap_or(if is_whole { RENDERED } else { 0 });
+        ensure!(runs + rendered > 0, "--runs and --rendered are both 0: give at least one run");
+        Ok(Self { repeats_kept: is_whole && !options.disabled, options, seed, runs, rendered })
     }
 }
 
@@ -262,67 +259,56 @@ struct Both {
 /// The scenario of a run with this index, and whether it has images. Runs with images take longest, so they start first.
 fn scenario(args: &Args, kept: &[Scenario], index: u64) -> Option<(Scenario, bool)> {
     let Some(index) = index.checked_sub(args.rendered) else {
-        return Some((Scenario::of(args.draw, args.seed + index), true));
+        return Some((Scenario::of(args.options.draw, args.seed + index), true));
     };
     match index.checked_sub(args.runs) {
-        None => Some((Scenario::of(args.draw, args.seed + index), false)),
+        None => Some((Scenario::of(args.options.draw, args.seed + index), false)),
         Some(index) => kept.get(index as usize).map(|scenario| (scenario.clone(), false)),
     }
 }
 
 fn all(args: &Args) -> Result<Both> {
     let kept = if args.repeats_kept { kept::scenarios()? } else { Vec::new() };
-    let setups = Setups::default();
-    let next = AtomicU64::new(0);
-    let figures = Mutex::new(Ok(Both::default()));
-    let told = Progress::default();
-    let work = || {
-        while let Some((scenario, rendered)) = scenario(args, &kept, next.fetch_add(1, Ordering::Relaxed)) {
-            let judged = judge(&setups, scenario, rendered);
-            let Ok(mut figures) = figures.lock() else { return };
-            match (judged, figures.as_mut()) {
-                (Ok(judged), Ok(Both { plain, rendered })) => {
-                    tell(&judged);
-                    if args.trace {
-                        trace(&judged);
-                    }
-                    let rules = judged.scenario.workcell.rules();
-                    if judged.rendered { &mut *rendered } else { &mut *plain }.add(&judged, &rules);
-                    told.tell([plain, rendered], [args.runs + kept.len() as u64, args.rendered]);
-                }
-                (Err(error), Ok(_)) => {
-                    *figures = Err(error);
-                    return;
-                }
-                (_, Err(_)) => return,
+    let (setups, figures, progress) = (Setups::default(), Mutex::new(Both::default()), Progress::default());
+    let (runs, threads) = (args.runs + kept.len() as u64, std::thread::available_parallelism().map_or(1, usize::from));
+    in_parallel(
+        (args.rendered + runs) as usize,
+        threads,
+        || Ok(()),
+        |(), index| {
+            let (scenario, rendered) = scenario(args, &kept, index as u64).context("a run without a scenario")?;
+            let judged = judge(&setups, scenario, rendered)?;
+            let mut figures = figures.lock().unwrap_or_else(PoisonError::into_inner);
+            let Both { plain, rendered } = &mut *figures;
+            tell(&judged);
+            if args.options.trace {
+                trace(&judged);
             }
-        }
-    };
-    let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    std::thread::scope(|scope| {
-        for _ in 0..threads {
-            scope.spawn(work);
-        }
-    });
-    figures.into_inner().map_err(|_| anyhow::anyhow!("a run panicked; see its message above"))?
+            let rules = judged.scenario.workcell.rules();
+            if judged.rendered { &mut *rendered } else { &mut *plain }.add(&judged, &rules);
+            progress.tell([plain, rendered], [runs, args.rendered]);
+            Ok(())
+        },
+    )?;
+    Ok(figures.into_inner().unwrap_or_else(PoisonError::into_inner))
 }
 
 fn main() -> Result<ExitCode> {
-    let args = Args::read(std::env::args().skip(1))?;
-    if args.disabled {
+    let args = Args::of(Options::parse())?;
+    if args.options.disabled {
         return proofs::run(&args);
     }
-    if args.is_drawn {
+    if args.options.seed.is_none() {
         println!("seed {}, drawn; repeat these runs with --seed {0}\n", args.seed);
     }
     let figures = all(&args)?;
     let Both { plain, rendered } = &figures;
-    let text = page::text(plain, rendered, args.seed, &args.origin);
-    if !args.trace {
-        println!("{text}");
+    let parts = page::parts(plain, rendered, args.seed, &args.options.origin);
+    if !args.options.trace {
+        println!("{}", text(&parts));
     }
-    if let Some(folder) = &args.page {
-        page::write_part(folder, Some(&text), None)?;
+    if let Some(folder) = &args.options.page {
+        update(&folder.join("safety.md"), &parts)?;
     }
     println!("{} virtual seconds per run, hash of all: {:016x}", RUN_S, plain.digest.wrapping_add(rendered.digest));
     Ok(if plain.broken() + rendered.broken() == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
@@ -331,6 +317,10 @@ fn main() -> Result<ExitCode> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn read(words: &[&str]) -> Result<Args> {
+        Args::of(Options::try_parse_from(std::iter::once("safety").chain(words.iter().copied()))?)
+    }
 
     #[test]
     fn seeds_that_broke_an_invariant_keep_them_all() {
@@ -343,22 +333,24 @@ mod tests {
 
     #[test]
     fn options_are_read() {
-        let read = |words: &[&str]| Args::read(words.iter().map(|word| (*word).to_owned()));
         let quick = read(&["--quick", "--seed", "7"]).unwrap();
-        assert!((quick.runs, quick.rendered, quick.seed) == (QUICK_RUNS, 0, 7) && !quick.is_drawn);
-        assert!(!quick.repeats_kept);
+        assert!((quick.runs, quick.rendered, quick.seed) == (QUICK_RUNS, 0, 7) && !quick.repeats_kept);
         let full = read(&[]).unwrap();
-        assert!(full.is_drawn && full.repeats_kept && full.seed > 0 && full.runs == RUNS);
+        assert!(full.options.seed.is_none() && full.repeats_kept && full.seed > 0 && full.runs == RUNS);
         assert!(read(&["--quick", "--page", "docs"]).is_err() && read(&["--runs"]).is_err() && read(&["-x"]).is_err());
     }
 
     /// Some runs, twice: no invariant is violated, and all numbers are identical.
     #[test]
     fn seeded_runs_keep_the_invariants_and_repeat_themselves() {
-        let args = Args::read(["--seed", "1", "--runs", "12"].map(str::to_owned).into_iter()).unwrap();
+        let args = read(&["--seed", "1", "--runs", "12"]).unwrap();
         let (one, other) = (all(&args).unwrap(), all(&args).unwrap());
         assert!(one.plain.violations.is_empty(), "{:?}", one.plain.violations);
         assert_eq!((one.plain.runs, one.rendered.runs), (12, 0));
+        let page = tempfile::tempdir().unwrap();
+        let parts = page::parts(&one.plain, &one.plain, 1, "a test");
+        update(&page.path().join("safety.md"), &parts).unwrap();
+        assert!(!text(&parts).contains('?'), "{parts:?}");
         assert_eq!(one.plain.digest, other.plain.digest, "the same seeds gave other runs");
     }
 }

@@ -7,10 +7,10 @@ pub mod safeguards;
 mod table;
 
 use std::process::ExitCode;
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::{Result, ensure};
+use pb3dp_benchmarks::page::{text, update};
+use pb3dp_benchmarks::parallel::in_parallel;
 use pb3dp_setup::setup::Carrier;
 use pb3dp_sim::trajectory::MotionConfig;
 use system_tests::safety::invariants::{Invariant, Violation};
@@ -109,7 +109,7 @@ impl Proof {
             if self.others.contains(&Safeguard::EstimateStale) {
                 with.violations.retain(|violation| violation.invariant != Invariant::RestWhileInhibited);
             }
-            if args.trace {
+            if args.options.trace {
                 println!("== with {}", self.guard.name());
                 trace(&with);
                 println!("== without {}", self.guard.name());
@@ -138,33 +138,14 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         "--disabled: this build cannot disable safeguards; use `cargo xtask bench safety --disabled`"
     );
     let setups = Setups::default();
-    let proofs: Vec<_> = table::PROOFS.iter().filter(|proof| proof.guard.name().contains(&args.only)).collect();
-    ensure!(!proofs.is_empty(), "--only {}: no safeguard has this text in its name", args.only);
-    let next = AtomicUsize::new(0);
-    let shown = Mutex::new(Vec::new());
-    let work = || {
-        while let Some((index, proof)) =
-            Some(next.fetch_add(1, Ordering::Relaxed)).and_then(|i| Some((i, proofs.get(i)?)))
-        {
-            let became = proof.show(&setups, args);
-            if let Ok(mut shown) = shown.lock() {
-                shown.push((index, became));
-            }
-        }
-    };
-    std::thread::scope(|scope| {
-        for _ in 0..std::thread::available_parallelism().map_or(1, usize::from) {
-            scope.spawn(work);
-        }
-    });
-    let mut shown = shown.into_inner().map_err(|_| anyhow::anyhow!("a run panicked; see its message above"))?;
-    ensure!(shown.len() == proofs.len(), "a run panicked; see its message above");
-    shown.sort_by_key(|(index, _)| *index);
-    let shown: Vec<Shown> = shown.into_iter().map(|(_, became)| became).collect::<Result<_>>()?;
-    let text = page::safeguards(&shown, &table::ELSEWHERE, &args.origin);
-    println!("{text}");
-    if let Some(folder) = &args.page {
-        page::write_part(folder, None, Some(&text))?;
+    let proofs: Vec<_> = table::PROOFS.iter().filter(|proof| proof.guard.name().contains(&args.options.only)).collect();
+    ensure!(!proofs.is_empty(), "--only {}: no safeguard has this text in its name", args.options.only);
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let shown = in_parallel(proofs.len(), threads, || Ok(()), |(), index| proofs[index].show(&setups, args))?;
+    let parts = page::safeguards(&shown, &table::ELSEWHERE, &args.options.origin);
+    println!("{}", text(&parts));
+    if let Some(folder) = &args.options.page {
+        update(&folder.join("safety.md"), &parts)?;
     }
     Ok(if shown.iter().all(Shown::is_proof) { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }

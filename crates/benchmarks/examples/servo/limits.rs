@@ -1,5 +1,6 @@
 //! The limits that the servo must meet.
 
+use pb3dp_benchmarks::limit::Check;
 use pb3dp_cell::figures::RmsMax;
 
 use crate::cases::Approached;
@@ -21,26 +22,6 @@ const GAIN_DB: f64 = 1.0;
 const PHASE_LAG_DEG: f64 = 5.0;
 /// Overshoot of the step, percent.
 const OVERSHOOT_PERCENT: f64 = 5.0;
-
-/// One limit and the measured value.
-#[derive(Clone, Debug)]
-pub struct Check {
-    /// The limited quantity.
-    pub what: String,
-    /// The measured value; `None`, a miss, where there is no figure.
-    pub found: Option<f64>,
-    /// The largest allowed value.
-    pub most: f64,
-    /// Unit of both.
-    pub unit: &'static str,
-}
-
-impl Check {
-    /// Whether the limit is met. NaN meets no limit.
-    pub fn is_kept(&self) -> bool {
-        self.found.is_some_and(|found| found <= self.most)
-    }
-}
 
 /// The limits of one run of the experiment of Fig. 7; none for runs that are only reported.
 pub fn of_fig7(run: &Fig7) -> Vec<Check> {
@@ -166,13 +147,6 @@ pub fn of_singular(way: &Way, is_reachable: bool) -> Vec<Check> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn what_is_no_number_keeps_no_limit() {
-        let check = |found| Check { what: "it".to_owned(), found, most: 1.0, unit: "mm" };
-        assert!(check(Some(1.0)).is_kept() && !check(Some(1.001)).is_kept());
-        assert!(!check(None).is_kept() && !check(Some(f64::NAN)).is_kept());
-    }
 
     #[test]
     fn a_response_that_is_missing_is_a_miss() {

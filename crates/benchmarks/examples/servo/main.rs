@@ -9,21 +9,18 @@ mod json;
 mod limit_use;
 mod limits;
 mod page;
-#[path = "../../src/accuracy/plot.rs"]
-#[allow(dead_code, reason = "all axes of these figures are linear")]
-mod plot;
 mod runs;
 mod setups;
 mod ways;
-mod ways_page;
 
-use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use cases::{Approach, Approached, Law, LawFindings, Singular};
-use limits::Check;
+use clap::Parser;
+use pb3dp_benchmarks::limit::Check;
+use pb3dp_benchmarks::page::{save, text, update};
+use pb3dp_benchmarks::parallel::in_parallel;
 use pb3dp_sim::trajectory::Channel;
 use runs::{Fig7, Response, Step, fig7, fig7_of, response, step_response};
 use setups::{DELAYS_MILLIS, Fig7Case, Who, geometric};
@@ -169,66 +166,42 @@ impl Findings {
         checks.extend(self.singular.iter().flat_map(|way| limits::of_singular(way, reachable(&way))));
         checks
     }
-
-    fn text(&self, checks: &[Check]) -> String {
-        [
-            page::fig7_table(&self.fig7),
-            page::axis_table(&self.fig7),
-            page::response_table(&self.responses),
-            page::step_table(&self.steps),
-            ways_page::approach_table(&self.approaches),
-            ways_page::singular_table(&self.singular),
-            ways_page::law_table(&self.laws),
-            ways_page::far_table(&self.laws),
-            page::limit_table(checks),
-        ]
-        .join("\n")
-    }
 }
 
 /// The runs with images, in parallel on all processors; each gives the same result alone.
 fn with_images(extent: &Extent) -> Result<Vec<Fig7>> {
-    let next = AtomicUsize::new(0);
-    let found: Mutex<Vec<(usize, Result<Fig7>)>> = Mutex::new(Vec::new());
-    let workers = std::thread::available_parallelism().map_or(1, std::num::NonZero::get).min(extent.fig7.len());
-    std::thread::scope(|scope| {
-        for _ in 0..workers {
-            scope.spawn(|| {
-                while let Some((index, case)) = extent.fig7.iter().enumerate().nth(next.fetch_add(1, Ordering::SeqCst))
-                {
-                    println!("fig7/{} ...", case.name());
-                    let run = fig7(case, extent.seed, extent.stop_after_s).with_context(|| case.name());
-                    if let Ok(run) = &run {
-                        println!("{}", page::fig7_table(std::slice::from_ref(run)));
-                    }
-                    found.lock().unwrap_or_else(PoisonError::into_inner).push((index, run));
-                }
-            });
-        }
-    });
-    let mut found = found.into_inner().unwrap_or_else(PoisonError::into_inner);
-    found.sort_by_key(|(index, _)| *index);
-    found.into_iter().map(|(_, run)| run).collect()
+    let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    in_parallel(
+        extent.fig7.len(),
+        threads,
+        || Ok(()),
+        |(), index| {
+            let case = &extent.fig7[index];
+            println!("fig7/{} ...", case.name());
+            fig7(case, extent.seed, extent.stop_after_s).with_context(|| case.name())
+        },
+    )
 }
 
 fn main() -> Result<()> {
-    let options = Options::parse(std::env::args().skip(1))?;
+    let options = Options::parse();
     let started = std::time::Instant::now();
     let extent = if options.quick { Extent::quick() } else { Extent::whole() };
     let extent = Extent { seed: options.seed, ..extent };
     let extent = options.only.iter().fold(extent, |extent, words| extent.only(words));
     let findings = Findings::of(&extent)?;
     let checks = findings.checks();
-    println!("\n{}", findings.text(&checks));
+    let found = json::all(&findings, &checks, &options.origin);
+    let parts = page::parts(&found, &options.origin);
+    println!("\n{}", text(&parts));
     println!("total time {:.1} minutes", started.elapsed().as_secs_f64() / 60.0);
-    println!("without images: {:.0} times real time", findings.geometric_times_real_time);
     if let Some(file) = &options.json {
-        write(file, &format!("{:#}\n", json::all(&findings, &checks, &options.origin)))?;
+        save(file, &format!("{found:#}\n"))?;
     }
     if let Some(folder) = &options.page {
-        write(&folder.join("servo.md"), &page::page(&findings, &checks, &options.origin))?;
-        write(&folder.join("servo.svg"), &page::motion_figure(&findings.fig7).context("no run to plot")?)?;
-        write(&folder.join("servo_response.svg"), &page::response_figure(&findings.responses))?;
+        update(&folder.join("servo.md"), &parts)?;
+        save(&folder.join("servo.svg"), &page::motion_figure(&findings.fig7).context("no run to plot")?)?;
+        save(&folder.join("servo_response.svg"), &page::response_figure(&findings.responses))?;
     }
     let missed = checks.iter().filter(|check| !check.is_kept()).count();
     if missed > 0 {
@@ -237,49 +210,27 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-fn write(file: &Path, text: &str) -> Result<()> {
-    if let Some(folder) = file.parent() {
-        std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
-    }
-    std::fs::write(file, text).with_context(|| format!("cannot write {}", file.display()))
-}
-
-/// The command line options.
-#[derive(Default)]
+/// Tracking error of the hand in simulation.
+#[derive(Parser)]
 struct Options {
+    /// A sample of everything, in seconds.
+    #[arg(long, conflicts_with = "page")]
     quick: bool,
+    /// Only parts whose name contains one of these words, separated by commas.
+    #[arg(long, value_name = "WORDS", conflicts_with = "page")]
     only: Option<String>,
+    /// Seed of the experiment with images.
+    #[arg(long, value_name = "NUMBER", conflicts_with = "page")]
     seed: Option<u64>,
+    /// File for the results.
+    #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
+    /// Folder of the page, for a full run.
+    #[arg(long, value_name = "FOLDER")]
     page: Option<PathBuf>,
+    /// Commit and machine, for the page.
+    #[arg(long, default_value = "", value_name = "TEXT")]
     origin: String,
-}
-
-impl Options {
-    fn parse(mut words: impl Iterator<Item = String>) -> Result<Self> {
-        let mut options = Self::default();
-        while let Some(word) = words.next() {
-            if word == "--quick" {
-                options.quick = true;
-                continue;
-            }
-            let value = words.next().with_context(|| format!("{word}: no value given"))?;
-            match word.as_str() {
-                "--seed" => {
-                    options.seed = Some(value.parse().with_context(|| format!("--seed {value}: give a whole number"))?)
-                }
-                "--only" => options.only = Some(value),
-                "--json" => options.json = Some(value.into()),
-                "--page" => options.page = Some(value.into()),
-                "--origin" => options.origin = value,
-                other => bail!("unknown option {other}; options: --quick, --only, --seed, --json, --page, --origin"),
-            }
-        }
-        if (options.quick || options.only.is_some() || options.seed.is_some()) && options.page.is_some() {
-            bail!("--page needs a full run: remove --quick, --only and --seed");
-        }
-        Ok(options)
-    }
 }
 
 #[cfg(test)]
@@ -291,7 +242,11 @@ mod tests {
     fn a_quick_run_measures_everything() {
         let findings = Findings::of(&Extent::quick()).unwrap();
         let checks = findings.checks();
-        let text = findings.text(&checks);
+        let found = json::all(&findings, &checks, "a test");
+        let text = text(&page::parts(&found, "a test"));
+        assert!(!text.contains('?'), "{text}");
+        let folder = tempfile::tempdir().unwrap();
+        update(&folder.path().join("servo.md"), &page::parts(&found, "a test")).unwrap();
         let [with_images, without] = &findings.fig7[..] else { panic!("{text}") };
         for run in [with_images, without] {
             let (found, ideal) = (run.summary.locked, run.ideal);
@@ -312,10 +267,7 @@ mod tests {
             let mut of_way = checks.iter().filter(|check| check.what.starts_with(&way.name)).peekable();
             assert!(of_way.peek().is_some() && of_way.all(Check::is_kept), "{}: {text}", way.name);
         }
-        let json = json::all(&findings, &checks, "a test");
-        assert_eq!(json["limits"].as_array().unwrap().len(), checks.len());
-        let page = page::page(&findings, &checks, "a test");
-        assert!(page.contains("without images") && page.contains("| x | 10 |"), "{page}");
+        assert!(text.contains("| without images ") && text.contains("| x    | 10 "), "{text}");
         assert!(page::motion_figure(&findings.fig7).unwrap().matches("<path class=\"line").count() >= 12);
         assert!(page::response_figure(&findings.responses).contains("phase"));
     }
@@ -334,7 +286,7 @@ mod tests {
 
     #[test]
     fn the_command_line_is_checked() {
-        let parse = |words: &[&str]| Options::parse(words.iter().map(|word| (*word).to_owned()));
+        let parse = |words: &[&str]| Options::try_parse_from(std::iter::once("servo").chain(words.iter().copied()));
         let options = parse(&["--quick", "--json", "x.json"]).unwrap();
         assert!(options.quick && options.json.is_some());
         assert!(parse(&["--page"]).is_err() && parse(&["--slow", "1"]).is_err());

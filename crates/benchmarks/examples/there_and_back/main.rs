@@ -20,18 +20,22 @@ use system_tests::repository;
 /// A week.
 const MINUTES_MAX: f64 = 10_080.0;
 
+/// The hand follows a target out and back: memory must not grow, and the hand must return.
+#[derive(clap::Parser)]
+struct Options {
+    /// Minutes of virtual time.
+    #[arg(long, default_value_t = 60.0, value_name = "NUMBER")]
+    minutes: f64,
+    /// Seed of everything random.
+    #[arg(long, default_value_t = 1, value_name = "NUMBER")]
+    seed: u64,
+    /// Without images.
+    #[arg(long)]
+    geometric: bool,
+}
+
 fn main() -> Result<()> {
-    let (mut minutes, mut geometric, mut seed) = (60.0, false, 1);
-    let mut arguments = std::env::args().skip(1);
-    while let Some(argument) = arguments.next() {
-        let mut value = || arguments.next().with_context(|| format!("{argument}: no value given"));
-        match argument.as_str() {
-            "--minutes" => minutes = value()?.parse().context("--minutes: give a number")?,
-            "--seed" => seed = value()?.parse().context("--seed: give a whole number")?,
-            "--geometric" => geometric = true,
-            _ => bail!("unknown option {argument}; options: --minutes N, --seed N, --geometric"),
-        }
-    }
+    let Options { minutes, seed, geometric } = clap::Parser::parse();
     if !(0.0..=MINUTES_MAX).contains(&minutes) {
         bail!("--minutes is {minutes}, more than {MINUTES_MAX}: give less");
     }

@@ -17,42 +17,27 @@ const SEQUENCES_DISTURBED: usize = 10;
 /// An ensemble.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EnsembleSpec {
-    /// Its name.
-    pub name: String,
-    /// The setup without the motion.
-    pub setup: Setup,
-    /// The condition of the cameras.
-    pub condition: Condition,
+    /// What its sequences have in common: its name, and all but their motions.
+    pub common: SequenceSpec,
     /// Number of sequences.
     pub sequences: usize,
-    /// Frames of each.
-    pub frames: usize,
-    /// Frames per second.
-    pub rate_hz: f64,
+}
+
+fn ensemble(name: &str, setup: Setup, condition: Condition) -> EnsembleSpec {
+    // Moments within an exposure are as good as finer pixels, and nine times as slow.
+    let (name, motion, fine) = (name.to_owned(), Motion::Still, !condition.has_moments());
+    let common = SequenceSpec { name, setup, motion, frames: 30, rate_hz: 30.0, hides: false, fine, condition };
+    EnsembleSpec { common, sequences: SEQUENCES_DISTURBED }
 }
 
 /// 20 frames in 1.3 s: long enough for turns that need a second view.
 fn consistency(name: &str, setup: Setup) -> EnsembleSpec {
-    let (sequences, frames) = (SEQUENCES, 20);
-    EnsembleSpec {
-        name: format!("many/{name}"),
-        setup,
-        condition: Condition::Undisturbed,
-        sequences,
-        frames,
-        rate_hz: 15.0,
-    }
+    let EnsembleSpec { common, .. } = ensemble(&format!("many/{name}"), setup, Condition::Undisturbed);
+    EnsembleSpec { common: SequenceSpec { frames: 20, rate_hz: 15.0, ..common }, sequences: SEQUENCES }
 }
 
 fn disturbed(name: &str, condition: Condition) -> EnsembleSpec {
-    EnsembleSpec {
-        name: name.to_owned(),
-        setup: Setup::default(),
-        condition,
-        sequences: SEQUENCES_DISTURBED,
-        frames: 30,
-        rate_hz: 30.0,
-    }
+    ensemble(name, Setup::default(), condition)
 }
 
 /// All ensembles.
@@ -100,17 +85,9 @@ impl EnsembleSpec {
 
     /// One of the sequences.
     pub fn member(&self, seed: u32, index: usize) -> SequenceSpec {
-        SequenceSpec {
-            name: format!("{} {index}", self.name),
-            setup: self.setup,
-            motion: Motion::Own(own_motion(&mut Random::of(seed, &self.name, index))),
-            frames: self.frames,
-            rate_hz: self.rate_hz,
-            hides: false,
-            // Moments within an exposure are as good as finer pixels, and nine times as slow.
-            fine: !self.condition.has_moments(),
-            condition: self.condition,
-        }
+        let name = &self.common.name;
+        let motion = Motion::Own(own_motion(&mut Random::of(seed, name, index)));
+        SequenceSpec { name: format!("{name} {index}"), motion, ..self.common.clone() }
     }
 }
 
@@ -174,8 +151,10 @@ mod tests {
     #[test]
     fn the_consistency_of_a_kind_is_judged_by_thirty_sequences() {
         let ensembles = all();
-        let many: Vec<_> = ensembles.iter().filter(|spec| spec.name.starts_with("many/")).collect();
+        let many: Vec<_> = ensembles.iter().filter(|spec| spec.common.name.starts_with("many/")).collect();
         assert!(many.len() == 7 && many.iter().all(|spec| spec.sequences >= 30));
-        assert!(ensembles.iter().enumerate().all(|(i, a)| ensembles[..i].iter().all(|b| a.name != b.name)));
+        assert!(
+            ensembles.iter().enumerate().all(|(i, a)| ensembles[..i].iter().all(|b| a.common.name != b.common.name))
+        );
     }
 }

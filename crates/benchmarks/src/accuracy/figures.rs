@@ -3,21 +3,21 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use pb3dp_benchmarks::circumstances::Circumstances;
+use pb3dp_benchmarks::figure::{AxisKind, Line, Panel, panels};
+use pb3dp_benchmarks::page::save;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_sim::targets::Paint;
 
 use super::cell::Cell;
+use super::cells;
 use super::measure::{Options, Worker, measure_cell};
-use super::page::cell_panel;
-use super::plot::{AxisKind, Line, Panel, svg_with_caption};
+use super::page::{cell_panel, sequence_panels};
 use super::scenes::SceneStore;
 use super::score_curve::{Sample, scores};
-use super::sequence_summary::SequenceSummary;
 use super::sequences::{self, SequenceSpec};
-use super::summary::Summary;
+use super::summary::summary;
 use super::track::run_sequence;
-use super::{cells, write};
-use crate::common::circumstances::Circumstances;
 
 const FOLDER: &str = "docs/images";
 
@@ -48,21 +48,16 @@ pub struct Args {
 /// If a part fails or a file cannot be written.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let circumstances = Circumstances::of(&args.root);
-    let made = made_line(args.seed, &circumstances);
+    let made = format!("Made by cargo xtask bench figures, seed {}. {}", args.seed, circumstances.line());
     let mut scenes = SceneStore::default();
     keep(&args.root, "score.svg", &score_figure(args, &mut scenes, &made)?)?;
     keep(&args.root, "noise.svg", &noise_figure(args, &mut scenes, &made)?)?;
     keep(&args.root, "track.svg", &track_figure(args, &mut scenes, &made)?)
 }
 
-fn made_line(seed: u32, circumstances: &Circumstances) -> String {
-    let changed = if circumstances.changed { " with uncommitted changes" } else { "" };
-    format!("Seed {seed}, commit {}{changed}; made by cargo xtask bench figures.", circumstances.commit)
-}
-
 fn keep(root: &Path, name: &str, svg: &str) -> anyhow::Result<()> {
     let file = root.join(FOLDER).join(name);
-    write(&file, svg)?;
+    save(&file, svg)?;
     println!("{FOLDER}/{name}: {} bytes", svg.len());
     Ok(())
 }
@@ -78,7 +73,7 @@ const SCORED_POSE: usize = 0;
 /// Both scores over disparity, far from the truth and near it.
 fn score_figure(args: &Args, scenes: &mut SceneStore, made: &str) -> anyhow::Result<String> {
     let reaches = [(-40.0, 40.0, 0.25), (-2.0, 2.0, 0.02)];
-    let mut panels = Vec::new();
+    let mut drawn = Vec::new();
     for (name, what) in SCORED {
         let cell = cell(name)?;
         let mut worker = Worker::new(&cell, &scenes.scene(&cell.setup)?, args.seed, &[])?;
@@ -90,7 +85,7 @@ fn score_figure(args: &Args, scenes: &mut SceneStore, made: &str) -> anyhow::Res
             let count = ((to - from) / step) as i32;
             let offsets: Vec<f64> = (0..=count).map(|i| from + f64::from(i) * step).collect();
             let title = format!("target {what}, 1 px = {px_mm:.1} mm");
-            panels.push(score_panel(title, &scores(&cell, rig, &pair, &offsets)?));
+            drawn.push(score_panel(title, &scores(&cell, rig, &pair, &offsets)?));
         }
     }
     let caption = [
@@ -99,7 +94,7 @@ fn score_figure(args: &Args, scenes: &mut SceneStore, made: &str) -> anyhow::Res
         "direct: correlation of luminance, which refinement maximises. published: the fitness of eq. (10).".to_owned(),
         made.to_owned(),
     ];
-    Ok(svg_with_caption(&panels, 2, &caption))
+    Ok(panels(&drawn, 2, &caption))
 }
 
 fn score_panel(title: String, samples: &[Sample]) -> Panel {
@@ -133,13 +128,13 @@ fn noise_figure(args: &Args, scenes: &mut SceneStore, made: &str) -> anyhow::Res
     };
     let mut cells: Vec<Cell> = cells::all().into_iter().filter(|cell| cell.factor() == "noise").collect();
     cells.iter_mut().for_each(|cell| cell.setup.paint = Paint::Colourful);
-    let mut summaries = Vec::new();
+    let mut rows = Vec::new();
     for cell in &cells {
         let measured = measure_cell(cell, &options, scenes)?;
-        summaries.extend((0..METHODS.len()).map(|index| Summary::of(cell, METHODS[index].name(), index, &measured)));
+        rows.extend((0..METHODS.len()).map(|index| summary(cell, METHODS[index].name(), index, &measured)));
     }
-    let panels = [("depth, rms, mm", 0), ("normal, rms, degrees", 1)]
-        .map(|quantity| cell_panel(&cells, &summaries, quantity, "noise, grey levels"));
+    let cells: Vec<&Cell> = cells.iter().collect();
+    let drawn = ["z_mm", "angle_deg"].map(|quantity| cell_panel(&cells, &rows, quantity, "noise, grey levels"));
     let caption = [
         format!(
             "Single pairs of a flat colourful target, {} poses for each noise; depths with status ok or weak-tilt, normals with status ok.",
@@ -147,7 +142,7 @@ fn noise_figure(args: &Args, scenes: &mut SceneStore, made: &str) -> anyhow::Res
         ),
         made.to_owned(),
     ];
-    Ok(svg_with_caption(&panels, 2, &caption))
+    Ok(panels(&drawn, 2, &caption))
 }
 
 /// The plotted sequence.
@@ -159,30 +154,14 @@ fn track_figure(args: &Args, scenes: &mut SceneStore, made: &str) -> anyhow::Res
     let spec = spec.with_context(|| format!("no sequence is called {TRACK}"))?;
     let spec = SequenceSpec { frames: args.frames as usize, ..spec };
     let rows = run_sequence(&spec, &METHODS, args.seed, scenes)?;
-    let panel = |title: &str, of: &dyn Fn(&SequenceSummary) -> Vec<f64>| Panel {
-        title: title.to_owned(),
-        x: format!("frame, {} per second", spec.rate_hz),
-        axes: [AxisKind::Linear, AxisKind::Logarithmic],
-        lines: rows.iter().map(|row| track_line(row.method, &of(row))).collect(),
-    };
-    let degrees = 1f64.to_degrees();
-    let panels = [
-        panel("depth error, mm", &|row| row.z_errors_m.iter().map(|error| error.abs() * 1e3).collect()),
-        panel("rotation error, degrees", &|row| row.rotation_errors_rad.iter().map(|error| error * degrees).collect()),
-    ];
+    let drawn = sequence_panels(rows.iter(), &format!("frame, {} per second", spec.rate_hz));
     let caption = [
         "A flat target moves along and about all axes at once, 50 mm and 20 degrees; errors of the motion since the first frame."
             .to_owned(),
         "The published method keeps the rotation about the normal constant instead of measuring it.".to_owned(),
         made.to_owned(),
     ];
-    Ok(svg_with_caption(&panels, 2, &caption))
-}
-
-/// Errors from the second frame on: the first frame has no motion.
-fn track_line(method: &str, errors: &[f64]) -> Line {
-    let points = errors.iter().enumerate().skip(1).map(|(frame, error)| [frame as f64, *error]).collect();
-    Line { name: method.to_owned(), points, is_bound: false }
+    Ok(panels(&drawn, 2, &caption))
 }
 
 #[cfg(test)]
@@ -199,12 +178,9 @@ mod tests {
     }
 
     #[test]
-    fn the_truth_stands_over_the_height_of_all_values_and_captions_name_seed_and_commit() {
+    fn the_truth_stands_over_the_height_of_all_values() {
         let sample = |off_px, fitness, correlation| Sample { off_px, fitness, correlation };
         let samples = [sample(-1.0, Some(-0.4), 0.2), sample(0.0, None, 0.9), sample(1.0, Some(0.3), f64::NAN)];
         assert_eq!(truth(&samples).points, [[0.0, -0.4], [0.0, 0.9]]);
-        let circumstances =
-            Circumstances { commit: "abc".into(), changed: false, processor: "x".into(), compiler: "y".into() };
-        assert!(made_line(7, &circumstances).starts_with("Seed 7, commit abc;"));
     }
 }

@@ -6,6 +6,7 @@
 
 use image::RgbImage;
 use nalgebra::{Matrix6, UnitQuaternion, Vector2, Vector3};
+use pb3dp_benchmarks::table::Column;
 use pb3dp_estimation::estimator::{EstimateRequest, Method, Tracker};
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::method::FramePrior;
@@ -74,87 +75,52 @@ struct Judged {
     later: Option<Off>,
 }
 
-/// The first poses of an object.
-#[derive(Clone, Debug, PartialEq)]
-pub struct FirstPoses {
-    /// The object.
-    pub name: String,
-    /// Number of starts, and of those with a pose and with the status `ok`.
-    pub starts: usize,
-    /// Those with a pose.
-    pub found: usize,
-    /// Those with the status `ok`.
-    pub ok: usize,
-    /// Depth and tilt about one axis, of the poses: median, 95th percentile and rms of the error (mm, degrees), median standard deviation, share of
-    /// the errors within two standard deviations.
-    pub figures: [[f64; 5]; 2],
-    /// Of the targets that were followed for five seconds: their number, the shares with a tilt error of up to 1.0 degree and a depth error of up to
-    /// 0.3 % of the first pose and of the surface then, and the shares of its errors within two standard deviations (depth, tilts).
-    pub later: [f64; 5],
-}
+/// The columns of the table.
+pub const COLUMNS: [Column<'_>; 9] = [
+    ("object", "{first_poses}"),
+    ("starts, found, ok", "{starts}, {found}, {ok}"),
+    ("depth mm med / p95", "{depth_mm.median:2} / {depth_mm.p95:2}"),
+    ("stated / rms", "{depth_mm.stated_over_rms:2}"),
+    ("tilt deg med / p95", "{tilt_deg.median:2} / {tilt_deg.p95:2}"),
+    ("stated / rms", "{tilt_deg.stated_over_rms:2}"),
+    ("in 2 sigmas %: depth, tilt", "{depth_mm.in_two_sigmas*100:0}, {tilt_deg.in_two_sigmas*100:0}"),
+    ("within 1.0 deg and 0.3 %: first, after 5 s", "{good_first*100:0} %, {good_surface*100:0} % of {followed:0}"),
+    ("then in 2 sigmas %: depth, tilt", "{surface_in_two_sigmas.0*100:0}, {surface_in_two_sigmas.1*100:0}"),
+];
 
-impl FirstPoses {
-    /// Headings of [`Self::row`].
-    pub const HEADINGS: [&'static str; 9] = [
-        "object",
-        "starts, found, ok",
-        "depth mm med / p95",
-        "stated / rms",
-        "tilt deg med / p95",
-        "stated / rms",
-        "in 2 sigmas %: depth, tilt",
-        "within 1.0 deg and 0.3 %: first, after 5 s",
-        "then in 2 sigmas %: depth, tilt",
-    ];
-
-    fn of(name: &str, starts: usize, judged: &[Judged]) -> Self {
-        let figures = [(&[0][..], 1e3), (&[1, 2][..], 1f64.to_degrees())].map(|(indices, scale)| {
-            let of = |pick: fn(&Off) -> &[f64; 3]| -> Vec<f64> {
-                let all = judged
-                    .iter()
-                    .flat_map(|one| indices.iter().map(move |index| pick(&one.first)[*index].abs() * scale));
-                all.collect()
-            };
-            let (errors, sigmas) = (of(|one| &one.errors), of(|one| &one.sigmas));
-            let count = errors.len().max(1) as f64;
-            let within = errors.iter().zip(&sigmas).filter(|(error, sigma)| **error <= 2.0 * **sigma).count();
-            let rms = (errors.iter().map(|error| error * error).sum::<f64>() / count).sqrt();
-            [quantile(&errors, 0.5), quantile(&errors, 0.95), rms, quantile(&sigmas, 0.5), within as f64 / count]
-        });
-        let ok = judged.iter().filter(|one| one.status == Status::Ok).count();
-        let later = later_figures(judged);
-        Self { name: name.to_owned(), starts, found: judged.len(), ok, figures, later }
-    }
-
-    /// As a row of a table.
-    pub fn row(&self) -> [String; 9] {
-        let [[z, z_p95, z_rms, z_sigma, z_within], [tilt, tilt_p95, tilt_rms, tilt_sigma, tilt_within]] = self.figures;
-        let [count, first, then, then_z, then_tilt] = self.later;
-        [
-            self.name.clone(),
-            format!("{}, {}, {}", self.starts, self.found, self.ok),
-            format!("{z:.2} / {z_p95:.2}"),
-            format!("{:.2}", z_sigma / z_rms),
-            format!("{tilt:.2} / {tilt_p95:.2}"),
-            format!("{:.2}", tilt_sigma / tilt_rms),
-            format!("{:.0}, {:.0}", 100.0 * z_within, 100.0 * tilt_within),
-            format!("{:.0} %, {:.0} % of {count}", 100.0 * first, 100.0 * then),
-            format!("{:.0}, {:.0}", 100.0 * then_z, 100.0 * then_tilt),
-        ]
-    }
-
-    /// As JSON.
-    pub fn to_json(&self) -> Value {
-        let [depth, tilt] = self.figures;
-        let of = |[median, p95, rms, sigma, within]: [f64; 5]| json!({ "median": median, "p95": p95, "rms": rms, "sigma_median": sigma, "in_two_sigmas": within });
+/// The row of an object: number of starts, of poses, and of those with the status `ok`; errors of depth and of the tilt about one axis, with the
+/// median of the stated deviation and the share of the errors within two of them.
+fn row(name: &str, starts: usize, judged: &[Judged]) -> Value {
+    let figures = |indices: &[usize], scale: f64| {
+        let of = |pick: fn(&Off) -> &[f64; 3]| -> Vec<f64> {
+            judged
+                .iter()
+                .flat_map(|one| indices.iter().map(move |index| pick(&one.first)[*index].abs() * scale))
+                .collect()
+        };
+        let (errors, sigmas) = (of(|one| &one.errors), of(|one| &one.sigmas));
+        let count = errors.len().max(1) as f64;
+        let within =
+            errors.iter().zip(&sigmas).filter(|(error, sigma)| **error <= 2.0 * **sigma).count() as f64 / count;
+        let rms = (errors.iter().map(|error| error * error).sum::<f64>() / count).sqrt();
+        let sigma = quantile(&sigmas, 0.5);
         json!({
-            "first_poses": self.name, "starts": self.starts, "found": self.found, "ok": self.ok,
-            "depth_mm": of(depth), "tilt_deg": of(tilt), "followed": self.later[0], "good_first": self.later[1],
-            "good_surface": self.later[2], "surface_in_two_sigmas": self.later[3..],
+            "median": quantile(&errors, 0.5), "p95": quantile(&errors, 0.95), "rms": rms, "sigma_median": sigma,
+            "stated_over_rms": sigma / rms, "in_two_sigmas": within, "beyond_two_sigmas_percent": 100.0 * (1.0 - within),
         })
-    }
+    };
+    let [followed, good_first, good_surface, then_z, then_tilt] = later_figures(judged);
+    json!({
+        "first_poses": name, "method": "direct", "starts": starts, "found": judged.len(),
+        "ok": judged.iter().filter(|one| one.status == Status::Ok).count(),
+        "depth_mm": figures(&[0], 1e3), "tilt_deg": figures(&[1, 2], 1f64.to_degrees()),
+        "followed": followed, "good_first": good_first, "good_surface": good_surface,
+        "surface_in_two_sigmas": [then_z, then_tilt],
+    })
 }
 
+/// Of the targets that were followed for five seconds: their number, the shares with a tilt error of up to 1.0 degree and a depth error of up to
+/// 0.3 % of the first pose and of the surface then, and the shares of its errors within two standard deviations (depth, tilts).
 fn later_figures(judged: &[Judged]) -> [f64; 5] {
     let followed: Vec<(&Off, &Off)> = judged.iter().filter_map(|one| Some((&one.first, one.later.as_ref()?))).collect();
     let count = followed.len() as f64;
@@ -184,7 +150,7 @@ pub fn measure(
     seed: u32,
     starts: usize,
     moved_s: Option<f64>,
-) -> anyhow::Result<FirstPoses> {
+) -> anyhow::Result<Value> {
     let setup = Setup::default();
     let rig = rigs(&setup)?.told;
     let (mut judged, mut count) = (Vec::new(), 0);
@@ -223,7 +189,7 @@ pub fn measure(
             judged.push(Judged { status: answer.status, first, later });
         }
     }
-    Ok(FirstPoses::of(name, count, &judged))
+    Ok(row(name, count, &judged))
 }
 
 /// The last answer after an ordinary motion, if it has a pose.
@@ -304,6 +270,8 @@ fn off(pose: &Pose<CamLeft, Model>, covariance: &Matrix6<f64>, plane: &Vector3<f
 
 #[cfg(test)]
 mod tests {
+    use pb3dp_benchmarks::table::number;
+
     use super::*;
 
     #[test]
@@ -311,15 +279,26 @@ mod tests {
         let off =
             |error: f64, tilt: f64| Off { errors: [1e-3 * error, 0.01, tilt], sigmas: [1e-3, 0.01, 0.01], z_m: 0.5 };
         let one = |error: f64| Judged { status: Status::Ok, first: off(error, 0.03), later: Some(off(error, 0.001)) };
-        let found = FirstPoses::of("x", 5, &[one(1.0), one(-3.0), one(2.0)]);
-        assert_eq!((found.starts, found.found, found.ok), (5, 3, 3));
-        let [[z, p95, rms, sigma, within], [_, _, _, _, tilts]] = found.figures;
-        assert!((z - 2.0).abs() < 1e-9 && (p95 - 3.0).abs() < 1e-9 && (sigma - 1.0).abs() < 1e-9);
-        assert!((rms - (14.0_f64 / 3.0).sqrt()).abs() < 1e-9 && (within - 2.0 / 3.0).abs() < 1e-9);
-        assert!((tilts - 0.5).abs() < 1e-9);
-        let [count, first, then, depths, tilts] = found.later;
-        assert_eq!((count, first, tilts), (3.0, 0.0, 1.0), "a tilt of 1.8 degrees is no good one");
-        assert!((then - 1.0 / 3.0).abs() < 1e-9 && (depths - 2.0 / 3.0).abs() < 1e-9, "of 1.5 mm at most");
+        let found = row("x", 5, &[one(1.0), one(-3.0), one(2.0)]);
+        let close = |path: &str, expected: f64| {
+            let figure = number(&found, path).unwrap();
+            assert!((figure - expected).abs() < 1e-9, "{path}: {figure} {expected}");
+        };
+        for (path, expected) in [("starts", 5.0), ("found", 3.0), ("ok", 3.0), ("followed", 3.0)] {
+            close(path, expected);
+        }
+        for (path, expected) in [("median", 2.0), ("p95", 3.0), ("sigma_median", 1.0), ("rms", (14.0_f64 / 3.0).sqrt())]
+        {
+            close(&format!("depth_mm.{path}"), expected);
+        }
+        close("depth_mm.in_two_sigmas", 2.0 / 3.0);
+        close("tilt_deg.beyond_two_sigmas_percent", 50.0);
+        // A tilt of 1.8 degrees is no good one, and a depth is good up to 1.5 mm.
+        close("good_first", 0.0);
+        close("good_surface", 1.0 / 3.0);
+        close("surface_in_two_sigmas.0", 2.0 / 3.0);
+        close("surface_in_two_sigmas.1", 1.0);
+        assert!(!pb3dp_benchmarks::table::row(&COLUMNS, &found).contains('?'));
     }
 
     /// On a shell of 25 mm the largest surface that can be followed is sometimes a sixth of the region, or the backdrop. Before, one of these was
@@ -327,19 +306,21 @@ mod tests {
     #[test]
     fn a_small_part_of_a_region_is_not_taken_for_it() {
         let found = measure("first-pose/crab-25", TargetConfig::crab(0.025), 2, 3, None).unwrap();
-        let [[_, z_p95, z_rms, ..], _] = found.figures;
-        assert!(found.found >= 8 && found.ok >= 5 && z_p95 < 8.0 && z_rms < 3.0, "{found:?}");
+        let figure = |path: &str| number(&found, path).unwrap();
+        assert!(figure("found") >= 8.0 && figure("ok") >= 5.0, "{found}");
+        assert!(figure("depth_mm.p95") < 8.0 && figure("depth_mm.rms") < 3.0, "{found}");
     }
 
     /// The model stays, and the plane beside it becomes better. Before, the rim of a crab was tilted by up to 30 degrees against the plane of a potato's pixels with texture, at a stated 0.1.
     #[test]
     fn the_stated_deviation_of_a_curved_surface_holds() {
         let found = measure("first-pose/potato", TargetConfig::potato(), 3, 2, Some(2.3)).unwrap();
-        let [[_, _, z_rms, ..], [_, _, tilt_rms, sigma, within]] = found.figures;
+        let figure = |path: &str| number(&found, path).unwrap();
         // As many as before, of which 3 were `ok`.
-        assert!(found.found >= 11 && found.ok >= 9, "{found:?}");
-        let [followed, good_first, good_then, ..] = found.later;
-        assert!(followed >= 10.0 && good_then > good_first && good_then >= 0.6, "{found:?}");
-        assert!(z_rms < 0.6 && tilt_rms < 1.5 && within >= 0.8 && sigma < 2.0 * tilt_rms, "{found:?}");
+        assert!(figure("found") >= 11.0 && figure("ok") >= 9.0, "{found}");
+        assert!(figure("followed") >= 10.0 && figure("good_surface") > figure("good_first"), "{found}");
+        assert!(figure("good_surface") >= 0.6 && figure("depth_mm.rms") < 0.6, "{found}");
+        assert!(figure("tilt_deg.rms") < 1.5 && figure("tilt_deg.in_two_sigmas") >= 0.8, "{found}");
+        assert!(figure("tilt_deg.stated_over_rms") < 2.0, "{found}");
     }
 }

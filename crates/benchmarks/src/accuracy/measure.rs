@@ -1,11 +1,9 @@
 //! Runs the methods on every pose of a configuration.
 
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
-
 use anyhow::Context;
 use image::RgbImage;
 use nalgebra::{Matrix3, Vector3};
+use pb3dp_benchmarks::parallel::in_parallel;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
 use pb3dp_estimation_core::estimate::PlaneEstimate;
 use pb3dp_estimation_core::method::EstimateRequest;
@@ -186,29 +184,7 @@ fn psi(plane: &Vector3<f64>, ray: &Vector3<f64>) -> Option<Vector3<f64>> {
 /// If a part rejects the setup; the first error of any thread.
 pub fn measure_cell(cell: &Cell, options: &Options, scenes: &mut SceneStore) -> anyhow::Result<Vec<Measured>> {
     let scene = scenes.scene(&cell.setup)?;
-    let count = options.pose_count(cell);
-    let (next, results) = (AtomicUsize::new(0), Mutex::new(vec![None; count]));
-    let work = || -> anyhow::Result<()> {
-        let mut worker = Worker::new(cell, &scene, options.seed, &options.methods)?;
-        loop {
-            let index = next.fetch_add(1, Ordering::Relaxed);
-            if index >= count {
-                return Ok(());
-            }
-            let measured = worker.measure(index)?;
-            if let Ok(mut results) = results.lock() {
-                results[index] = Some(measured);
-            }
-        }
-    };
-    std::thread::scope(|scope| {
-        let threads: Vec<_> = (0..options.threads.max(1)).map(|_| scope.spawn(work)).collect();
-        threads.into_iter().try_for_each(|thread| match thread.join() {
-            Ok(result) => result,
-            Err(panic) => std::panic::resume_unwind(panic),
-        })
-    })
-    .with_context(|| format!("configuration {}", cell.name))?;
-    let results = results.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
-    Ok(results.into_iter().flatten().collect())
+    let begin = || Worker::new(cell, &scene, options.seed, &options.methods);
+    in_parallel(options.pose_count(cell), options.threads, begin, Worker::measure)
+        .with_context(|| format!("configuration {}", cell.name))
 }

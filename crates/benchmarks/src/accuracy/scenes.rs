@@ -112,7 +112,7 @@ fn ellipse([a, b]: [f64; 2]) -> Vec<Point3<f64>> {
 }
 
 /// A flat panel that faces the cameras, with `repeats` copies of its texture along each side.
-fn panel(
+pub fn panel(
     half_size_m: [f64; 2],
     z_m: f64,
     repeats: f64,

@@ -1,12 +1,16 @@
-//! Statistics of one method on one sequence.
+//! Rows of sequences, and of ensembles of many short ones. Errors are those of the motion since the first frame, at the target's origin,
+//! over the frames with a confident pose.
 
 use nalgebra::Vector3;
+use pb3dp_benchmarks::table::Column;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_record::metrics::{MotionErrors, compare_motion, median, percentile, rms};
 use serde_json::{Value, json};
 
+use super::chi_square::{freedom_of_mean, interval};
+use super::ensembles::EnsembleSpec;
 use super::sequences::SequenceSpec;
 
 /// Errors above these are wrong: metres, radians.
@@ -49,103 +53,129 @@ impl Tracked {
     }
 }
 
-/// Row of a table for one method on one sequence; metres and radians. Errors are those of the motion since the first
-/// frame, at the target's origin, over the frames with a confident pose.
-#[derive(Clone, Debug)]
-pub struct SequenceSummary {
-    /// The sequence.
-    pub sequence: String,
-    /// The method.
-    pub method: &'static str,
-    /// Number of frames.
-    pub frames: usize,
-    /// Frames without a confident pose while the target was visible; frames until recovery from an occlusion do not count.
-    pub lost: usize,
-    /// Frames with a confident pose that is wrong.
-    pub wrong_ok: usize,
-    /// Frames from the end of the occlusion to the first right and confident pose; `None` without an occlusion.
-    pub frames_until_back: Option<usize>,
-    /// Error across the optical axis: median, 95th percentile.
-    pub xy_m: [f64; 2],
-    /// Error along it.
-    pub z_m: [f64; 2],
-    /// Rotation error.
-    pub rotation_rad: [f64; 2],
-    /// Error of the normal's direction.
-    pub tilt_rad: [f64; 2],
-    /// Jitter from frame to frame: along the axis and of the rotation (see `record::metrics::motion`).
-    pub jitter: Option<[f64; 2]>,
-    /// Median error of the last tenth of the frames over that of the first tenth: drift of a long run.
-    pub drift_ratio: Option<f64>,
-    /// Mean normalised squared error of the confident poses; 1 is consistent.
-    pub nees: Option<f64>,
-    /// CPU time of a frame after the first, milliseconds, median.
-    pub cpu_millis: f64,
-    /// Depth error per frame, for the figure; NaN without a confident pose.
-    pub z_errors_m: Vec<f64>,
-    /// Rotation error per frame.
-    pub rotation_errors_rad: Vec<f64>,
+/// Answers of some trackers to one sequence, and the truth.
+pub struct Run {
+    /// Per tracker: the method and its answers.
+    pub tracked: Vec<(&'static str, Vec<Tracked>)>,
+    /// Pose of the target in each frame.
+    pub truth: Vec<Pose<CamLeft, Model>>,
 }
 
-impl SequenceSummary {
-    /// Statistics of one method's answers; `truth` is the pose of any frame fixed to the body.
-    pub fn of(spec: &SequenceSpec, method: &'static str, tracked: &[Tracked], truth: &[Pose<CamLeft, Model>]) -> Self {
-        let sure: Vec<_> = tracked.iter().map(Tracked::sure_pose).collect();
-        let errors = compare_motion(&sure, truth);
+/// The columns of the table of sequences.
+pub const COLUMNS: [Column<'_>; 14] = [
+    ("sequence", "{sequence}"),
+    ("method", "{method}"),
+    ("frames", "{frames}"),
+    ("lost", "{lost}"),
+    ("wrong ok", "{wrong_ok}"),
+    ("until back", "{frames_until_back}"),
+    ("xy mm med / p95", "{xy_mm.median:3} / {xy_mm.p95:3}"),
+    ("z mm med / p95", "{z_mm.median:3} / {z_mm.p95:3}"),
+    ("rotation deg med / p95", "{rotation_deg.median:3} / {rotation_deg.p95:3}"),
+    ("tilt deg med / p95", "{tilt_deg.median:3} / {tilt_deg.p95:3}"),
+    ("jitter z mm, deg", "{jitter.z_mm:3}, {jitter.rotation_deg:3}"),
+    ("drift", "{drift_ratio:2}"),
+    ("NEES", "{nees:2}"),
+    ("ms", "{cpu_ms:2}"),
+];
+
+/// The columns of the table of ensembles.
+pub const ENSEMBLE_COLUMNS: [Column<'_>; 10] = [
+    ("ensemble", "{ensemble}"),
+    ("sequences", "{sequences}"),
+    ("frames", "{frames}"),
+    ("lost", "{lost}"),
+    ("wrong ok", "{wrong_ok}"),
+    ("xy mm med / p95", "{xy_mm.median:3} / {xy_mm.p95:3}"),
+    ("z mm med / p95", "{z_mm.median:3} / {z_mm.p95:3}"),
+    ("rotation deg med / p95", "{rotation_deg.median:3} / {rotation_deg.p95:3}"),
+    ("NEES of the pose", "{pose.nees:2} ({pose.interval.0:2} to {pose.interval.1:2})"),
+    ("NEES of the motion", "{motion.nees:2} ({motion.interval.0:2} to {motion.interval.1:2})"),
+];
+
+/// The row of one method on one sequence, and the errors of its frames.
+pub struct SequenceRow {
+    /// The row. `lost`: frames without a confident pose while the target was visible; frames until recovery from an occlusion
+    /// (`frames_until_back`: to the first right pose) do not count. `drift_ratio`: median error of the last tenth of the frames over that of
+    /// the first. `cpu_ms`: of a frame after the first.
+    pub row: Value,
+    /// The errors of each frame, for the figures.
+    pub errors: Vec<Option<MotionErrors>>,
+}
+
+impl SequenceRow {
+    /// For one method's answers; `truth` is the pose of any frame fixed to the body.
+    pub fn of(spec: &SequenceSpec, method: &str, tracked: &[Tracked], truth: &[Pose<CamLeft, Model>]) -> Self {
+        let errors = compare_motion(&tracked.iter().map(Tracked::sure_pose).collect::<Vec<_>>(), truth);
         let whole = tracked.iter().any(|t| t.turn_observed);
-        let of = |value: &dyn Fn(&MotionErrors) -> f64| {
-            let values: Vec<f64> = errors.iter().flatten().map(value).collect();
-            [median(&values).unwrap_or(f64::NAN), percentile(&values, 95.0).unwrap_or(f64::NAN)]
-        };
         let nees: Vec<f64> =
             tracked.iter().filter(|t| t.status == Status::Ok).filter_map(|t| t.normalised_error).collect();
         let times: Vec<f64> = tracked.iter().skip(1).map(|t| t.cpu_millis).collect();
         let back = frames_until_back(spec, &errors, whole);
-        let per_frame =
-            |value: &dyn Fn(&MotionErrors) -> f64| errors.iter().map(|e| e.as_ref().map_or(f64::NAN, value)).collect();
-        Self {
-            sequence: spec.name.clone(),
-            method,
-            frames: tracked.len(),
-            lost: lost(spec, &errors, back),
-            wrong_ok: errors.iter().flatten().filter(|e| !is_right(e, whole)).count(),
-            frames_until_back: back,
-            xy_m: of(&|e| e.translation_m.xy().norm()),
-            z_m: of(&|e| e.translation_m.z.abs()),
-            rotation_rad: of(&|e| e.rotation_rad.norm()),
-            tilt_rad: of(&|e| e.tilt_rad),
-            jitter: jitter(&errors, |e| Vector3::new(0.0, 0.0, e.translation_m.z))
-                .zip(jitter(&errors, |e| e.rotation_rad))
-                .map(|(z, rotation)| [z, rotation]),
-            drift_ratio: drift(&errors),
-            nees: (!nees.is_empty()).then(|| nees.iter().sum::<f64>() / nees.len() as f64),
-            cpu_millis: median(&times).unwrap_or(f64::NAN),
-            z_errors_m: per_frame(&|e| e.translation_m.z),
-            rotation_errors_rad: per_frame(&|e| e.rotation_rad.norm()),
-        }
-    }
-
-    /// For the JSON file; millimetres and degrees.
-    pub fn to_json(&self) -> Value {
-        let pair = |values: [f64; 2], scale: f64| {
-            let finite = |value: f64| value.is_finite().then_some(value * scale);
-            json!({"median": finite(values[0]), "p95": finite(values[1])})
-        };
-        let degrees = 1f64.to_degrees();
-        json!({
-            "sequence": self.sequence, "method": self.method, "frames": self.frames,
-            "lost": self.lost, "wrong_ok": self.wrong_ok, "frames_until_back": self.frames_until_back,
-            "xy_mm": pair(self.xy_m, 1e3), "z_mm": pair(self.z_m, 1e3),
-            "rotation_deg": pair(self.rotation_rad, degrees), "tilt_deg": pair(self.tilt_rad, degrees),
-            "jitter": self.jitter.map(|[z, rotation]| json!({"z_mm": z * 1e3, "rotation_deg": rotation * degrees})),
-            "drift_ratio": self.drift_ratio, "nees": self.nees,
-            "cpu_ms": self.cpu_millis.is_finite().then_some(self.cpu_millis),
-        })
+        let jitter =
+            jitter(&errors, |e| Vector3::new(0.0, 0.0, e.translation_m.z)).zip(jitter(&errors, |e| e.rotation_rad));
+        let row = json!({
+            "sequence": spec.name, "method": method, "frames": tracked.len(), "lost": lost(spec, &errors, back),
+            "wrong_ok": errors.iter().flatten().filter(|e| !is_right(e, whole)).count(), "frames_until_back": back,
+            "jitter": jitter.map(|(z, rad)| json!({"z_mm": 1e3 * z, "rotation_deg": rad.to_degrees()})),
+            "drift_ratio": drift(&errors), "nees": mean(&nees), "cpu_ms": median(&times),
+        });
+        Self { row: with_errors(row, errors.iter().flatten()), errors }
     }
 }
 
+/// The row of one method on an ensemble. The first frame defines the motion: its error is zero, or there is no motion. `pose`: consistency of
+/// the pose with its covariance, of a relief that of the motion.
+pub fn ensemble_row(spec: &EnsembleSpec, method: &str, runs: &[Run]) -> Value {
+    let answers: Vec<&Vec<Tracked>> = runs.iter().flat_map(|run| run.tracked.iter().map(|(_, t)| t)).collect();
+    let sure = |tracked: &[Tracked]| tracked.iter().map(Tracked::sure_pose).collect::<Vec<_>>();
+    let compared = runs.iter().zip(&answers).map(|(run, tracked)| compare_motion(&sure(tracked), &run.truth));
+    let errors: Vec<Vec<Option<MotionErrors>>> = compared.collect();
+    let whole = answers.iter().any(|tracked| tracked.iter().any(|t| t.turn_observed));
+    let later = || errors.iter().flat_map(|sequence| sequence.iter().skip(1)).flatten();
+    let consistent = |of: fn(&Tracked) -> Option<f64>| {
+        let ok = |tracked: &&Vec<Tracked>| -> Vec<f64> {
+            tracked.iter().filter(|t| t.status == Status::Ok).filter_map(of).collect()
+        };
+        consistency(&answers.iter().map(ok).collect::<Vec<_>>())
+    };
+    let row = json!({
+        "ensemble": spec.common.name, "method": method, "sequences": runs.len(),
+        "frames": answers.iter().map(|tracked| tracked.len()).sum::<usize>(),
+        "lost": errors.iter().flatten().filter(|error| error.is_none()).count(),
+        "wrong_ok": later().filter(|e| !is_right(e, whole)).count(),
+        "pose": consistent(|t| t.normalised_error), "motion": consistent(|t| t.normalised_motion_error),
+    });
+    with_errors(row, later())
+}
+
+/// Mean normalised squared error over independent sequences, by the normalised errors of each, with the interval by the spread of their
+/// means. A sequence counts once, whatever its number of frames.
+fn consistency(sequences: &[Vec<f64>]) -> Option<Value> {
+    let means: Vec<f64> = sequences.iter().filter_map(|values| mean(values)).collect();
+    let nees = mean(&means)?;
+    Some(json!({"nees": nees, "interval": freedom_of_mean(&means).map(|freedom| interval(nees, freedom))}))
+}
+
+fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+/// Adds the errors across and along the optical axis, of the rotation, and of the normal's direction.
+fn with_errors<'a>(mut row: Value, errors: impl Iterator<Item = &'a MotionErrors> + Clone) -> Value {
+    let of = |value: fn(&MotionErrors) -> f64| {
+        let values: Vec<f64> = errors.clone().map(value).collect();
+        json!({"median": median(&values), "p95": percentile(&values, 95.0)})
+    };
+    row["xy_mm"] = of(|e| 1e3 * e.translation_m.xy().norm());
+    row["z_mm"] = of(|e| 1e3 * e.translation_m.z.abs());
+    row["rotation_deg"] = of(|e| e.rotation_rad.norm().to_degrees());
+    row["tilt_deg"] = of(|e| e.tilt_rad.to_degrees());
+    row
+}
+
 /// Whether a pose is right; `whole`: the rotation about the normal counts.
-pub fn is_right(errors: &MotionErrors, whole: bool) -> bool {
+fn is_right(errors: &MotionErrors, whole: bool) -> bool {
     let angle = if whole { errors.rotation_rad.norm() } else { errors.tilt_rad };
     errors.translation_m.norm() <= TOLERANCE.0 && angle <= TOLERANCE.1
 }
@@ -187,67 +217,10 @@ fn drift(errors: &[Option<MotionErrors>]) -> Option<f64> {
     (tenth >= 100).then(|| Some(typical(&errors[errors.len() - tenth..])? / typical(&errors[..tenth])?))?
 }
 
-/// Headings of the sequence table.
-pub const HEADINGS: [&str; 14] = [
-    "sequence",
-    "method",
-    "frames",
-    "lost",
-    "wrong ok",
-    "until back",
-    "xy mm med / p95",
-    "z mm med / p95",
-    "rotation deg med / p95",
-    "tilt deg med / p95",
-    "jitter z mm, deg",
-    "drift",
-    "NEES",
-    "ms",
-];
-
-/// Column widths on the terminal.
-const WIDTHS: [usize; 14] = [30, 16, 7, 6, 9, 11, 17, 17, 23, 20, 17, 7, 8, 8];
-
-/// The cells of a row.
-pub fn row(s: &SequenceSummary) -> [String; 14] {
-    let number = |value: Option<f64>, digits: usize| match value {
-        Some(value) if value.is_finite() => format!("{value:.digits$}"),
-        _ => "-".to_owned(),
-    };
-    let pair = |values: [f64; 2], scale: f64| {
-        format!("{} / {}", number(Some(values[0] * scale), 3), number(Some(values[1] * scale), 3))
-    };
-    let degrees = 1f64.to_degrees();
-    [
-        s.sequence.clone(),
-        s.method.to_owned(),
-        s.frames.to_string(),
-        s.lost.to_string(),
-        s.wrong_ok.to_string(),
-        s.frames_until_back.map_or("-".to_owned(), |frames| frames.to_string()),
-        pair(s.xy_m, 1e3),
-        pair(s.z_m, 1e3),
-        pair(s.rotation_rad, degrees),
-        pair(s.tilt_rad, degrees),
-        s.jitter.map_or("-".to_owned(), |[z, turn]| format!("{:.3}, {:.3}", z * 1e3, turn * degrees)),
-        number(s.drift_ratio, 2),
-        number(s.nees, 2),
-        number(Some(s.cpu_millis), 2),
-    ]
-}
-
-/// A row for the terminal.
-pub fn line(cells: &[String; 14]) -> String {
-    let mut line = String::new();
-    for (index, (cell, width)) in cells.iter().zip(WIDTHS).enumerate() {
-        line += &if index < 2 { format!("{cell:<width$}") } else { format!("{cell:>width$}") };
-    }
-    line
-}
-
 #[cfg(test)]
 mod tests {
     use nalgebra::UnitQuaternion;
+    use pb3dp_benchmarks::table::number;
 
     use super::*;
 
@@ -277,13 +250,17 @@ mod tests {
                 }
             })
             .collect();
-        let summary = SequenceSummary::of(&spec, "some", &tracked, &truth);
-        assert_eq!((summary.wrong_ok, summary.frames_until_back, summary.lost), (1, Some(2), 1));
-        assert!(summary.z_m[1] < 1.1e-4 && summary.xy_m[1] < 1e-9, "{summary:?}");
-        assert_eq!(summary.nees, Some(1.5));
+        let row = SequenceRow::of(&spec, "some", &tracked, &truth).row;
+        let figure = |path: &str| number(&row, path).unwrap();
+        assert_eq!(["wrong_ok", "frames_until_back", "lost", "nees"].map(figure), [1.0, 2.0, 1.0, 1.5]);
+        assert!(figure("z_mm.p95") < 0.11 && figure("xy_mm.p95") < 1e-6, "{row}");
         // Alternating between 0 and 0.1 mm: second differences of 0.2 mm.
-        let [z, turn] = summary.jitter.unwrap();
-        assert!((z - 0.2e-3 / 6f64.sqrt()).abs() < 1e-9 && turn < 1e-9, "{z}");
+        assert!(
+            (figure("jitter.z_mm") - 0.2 / 6f64.sqrt()).abs() < 1e-6 && figure("jitter.rotation_deg") < 1e-7,
+            "{row}"
+        );
+        let shown = pb3dp_benchmarks::table::row(&COLUMNS, &row);
+        assert!(shown.contains("| some | 150 | 1 | 1 | 2 |") && !shown.contains('?'), "{shown}");
     }
 
     #[test]
@@ -312,8 +289,38 @@ mod tests {
                 }
             })
             .collect();
-        let summary = SequenceSummary::of(&spec, "some", &tracked, &truth);
-        assert!((summary.rotation_rad[0].to_degrees() - 1.0).abs() < 1e-6, "{summary:?}");
-        assert!(summary.z_m[1] < 1e-9 && summary.nees.is_none());
+        let row = SequenceRow::of(&spec, "some", &tracked, &truth).row;
+        assert!((number(&row, "rotation_deg.median").unwrap() - 1.0).abs() < 1e-6, "{row}");
+        assert!(number(&row, "z_mm.p95").unwrap() < 1e-6 && row["nees"].is_null());
+    }
+
+    #[test]
+    fn a_sequence_counts_once_and_the_first_frame_is_no_motion() {
+        let spec = super::super::ensembles::all().remove(0);
+        let truth: Vec<Pose<CamLeft, Model>> =
+            (0..4).map(|k| Pose::from_translation(Vector3::new(0.0, 0.0, 0.5 + 0.01 * f64::from(k)))).collect();
+        let run = |frames: usize, nees: f64, z_mm: f64| {
+            let tracked = (0..frames).map(|frame| {
+                let z = if frame == 0 { 0.0 } else { z_mm * 1e-3 };
+                Tracked {
+                    status: if frame == 3 { Status::Lost } else { Status::Ok },
+                    pose: Some(Pose::from_translation(truth[frame].translation_m() + Vector3::new(0.0, 0.0, z))),
+                    normalised_error: Some(nees),
+                    normalised_motion_error: (frame > 0).then_some(nees),
+                    turn_observed: true,
+                    cpu_millis: 1.0,
+                }
+            });
+            Run { tracked: vec![("direct", tracked.collect())], truth: truth[..frames].to_vec() }
+        };
+        let row = ensemble_row(&spec, "direct", &[run(4, 1.0, 0.1), run(2, 2.0, 3.0)]);
+        let figure = |path: &str| number(&row, path).unwrap();
+        assert_eq!(["sequences", "frames", "lost", "wrong_ok"].map(figure), [2.0, 6.0, 1.0, 1.0]);
+        assert!((figure("pose.nees") - 1.5).abs() < 1e-12, "{row}");
+        let [low, high] = ["pose.interval.0", "pose.interval.1"].map(figure);
+        assert!(low < 1.5 && high > 1.5 && high - 1.5 > 1.5 - low, "{row}");
+        assert!((figure("z_mm.median") - 0.1).abs() < 1e-6, "{row}");
+        let shown = pb3dp_benchmarks::table::row(&ENSEMBLE_COLUMNS, &row);
+        assert!(shown.contains("| 2 | 6 | 1 | 1 |") && !shown.contains('?'), "{shown}");
     }
 }

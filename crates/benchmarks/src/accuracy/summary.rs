@@ -1,6 +1,7 @@
 //! Statistics of one method on one configuration.
 
 use nalgebra::Matrix3;
+use pb3dp_benchmarks::table::Column;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_record::metrics::{median, percentile, rms};
 use serde_json::{Value, json};
@@ -18,117 +19,72 @@ const HALF_WIDTH_M: f64 = 0.055;
 /// Errors within this many standard deviations of the bound are not wrong either.
 const SIGMAS: f64 = 4.0;
 
-/// Row of a table for one method on one configuration; metres and radians.
-#[derive(Clone, Debug)]
-pub struct Summary {
-    /// The configuration.
-    pub cell: String,
-    /// The method.
-    pub method: &'static str,
-    /// Number of poses.
-    pub count: usize,
-    /// Poses with status `ok` or `weak-tilt`.
-    pub sure: usize,
-    /// Poses with a plane within the tolerance, with any status.
-    pub right: usize,
-    /// Poses with status `ok` (or `weak-tilt`: depth only) that are wrong.
-    pub wrong_ok: usize,
-    /// Absolute depth error of the confident answers: median, 95th percentile, rms.
-    pub z_m: [f64; 3],
-    /// Angle between true and estimated normal of the `ok` answers: the same statistics.
-    pub angle_rad: [f64; 3],
-    /// The bound: rms over all poses, depth and angle.
-    pub bound: Option<[f64; 2]>,
-    /// Rms error over the bound of the same answers, depth and angle.
-    pub ratio: Option<[f64; 2]>,
-    /// Mean normalised squared error over its expected value; 1 is consistent.
-    pub nees: Option<f64>,
-    /// 95 % interval of [`Self::nees`]: the errors of the pairs are independent.
-    pub nees_interval: Option<[f64; 2]>,
-    /// CPU time, milliseconds, median.
-    pub cpu_millis: f64,
-}
+/// The columns of the table.
+pub const COLUMNS: [Column<'_>; 13] = [
+    ("configuration", "{cell}"),
+    ("method", "{method}"),
+    ("n", "{poses}"),
+    ("conf %", "{sure_percent:1}"),
+    ("right %", "{right_percent:1}"),
+    ("wrong ok", "{wrong_ok}"),
+    ("z mm med / p95", "{z_mm.median:3} / {z_mm.p95:3}"),
+    ("angle deg med / p95", "{angle_deg.median:3} / {angle_deg.p95:3}"),
+    ("bound mm, deg", "{bound.z_mm:3}, {bound.angle_deg:3}"),
+    ("rms / bound z", "{ratio.z:2}"),
+    ("angle", "{ratio.angle:2}"),
+    ("NEES", "{nees:2} ({nees_interval.0:2} to {nees_interval.1:2})"),
+    ("ms", "{cpu_ms:2}"),
+];
 
-impl Summary {
-    /// Share of poses with a confident answer.
-    pub fn sure_share(&self) -> f64 {
-        self.sure as f64 / self.count.max(1) as f64
-    }
-
-    /// Share of poses with a right answer.
-    pub fn right_share(&self) -> f64 {
-        self.right as f64 / self.count.max(1) as f64
-    }
-
-    /// Statistics of the method with number `index`.
-    pub fn of(cell: &Cell, method: &'static str, index: usize, measured: &[Measured]) -> Self {
-        let outcomes: Vec<_> = measured.iter().map(|m| (&m.outcomes[index], m.bound.as_ref())).collect();
-        let tolerance = Tolerance::of(cell);
-        let sure: Vec<_> = outcomes.iter().filter(|(o, _)| o.status.depth_is_sure() && o.errors.is_some()).collect();
-        let z = |(o, _): &&(&Outcome, _)| o.errors.map(|errors| errors.z_m.abs());
-        let angle = |(o, _): &&(&Outcome, _)| o.errors.map(|errors| errors.tilt_rad.norm());
-        let ok: Vec<_> = sure.iter().copied().filter(|(o, _)| o.status == Status::Ok).collect();
-        let z_errors: Vec<f64> = sure.iter().copied().filter_map(|o| z(&o)).collect();
-        let angles: Vec<f64> = ok.iter().copied().filter_map(|o| angle(&o)).collect();
-        let bound_of = |answers: &[&(&Outcome, Option<&Matrix3<f64>>)]| {
-            bound_rms(&answers.iter().filter_map(|(_, bound)| *bound).collect::<Vec<_>>())
-        };
-        let all_bounds = bound_rms(&outcomes.iter().filter_map(|(_, bound)| *bound).collect::<Vec<_>>());
-        let ratio = match (bound_of(&sure), bound_of(&ok), rms(&z_errors), rms(&angles)) {
-            (Some([z_bound, _]), Some([_, angle_bound]), Some(z), Some(angle)) => {
-                Some([z / z_bound, angle / angle_bound])
-            }
-            _ => None,
-        };
-        let nees: Vec<f64> = ok.iter().filter_map(|(o, _)| o.normalised_error).collect();
-        let mean_nees = (!nees.is_empty()).then(|| nees.iter().sum::<f64>() / nees.len() as f64);
-        let times: Vec<f64> = outcomes.iter().map(|(o, _)| o.cpu_millis).collect();
-        Self {
-            cell: cell.name.clone(),
-            method,
-            count: outcomes.len(),
-            sure: sure.len(),
-            right: outcomes.iter().filter(|(o, bound)| is_right(o, tolerance.with(*bound))).count(),
-            wrong_ok: outcomes.iter().filter(|(o, bound)| is_wrong_ok(o, tolerance.with(*bound))).count(),
-            z_m: three(&z_errors),
-            angle_rad: three(&angles),
-            bound: all_bounds,
-            ratio,
-            nees: mean_nees,
-            nees_interval: mean_nees.map(|mean| interval(mean, 3.0 * nees.len() as f64)),
-            cpu_millis: median(&times).unwrap_or(f64::NAN),
+/// The row of the method with number `index` on one configuration.
+///
+/// `sure`: status `ok` or `weak-tilt`. `z_mm`: absolute depth error of these answers, `angle_deg`: angle between true and estimated normal of
+/// the `ok` ones. `bound`: rms over all poses; `ratio`: rms error over the bound of the same answers. The errors of the pairs are
+/// independent, so the NEES has an interval of 95 %.
+pub fn summary(cell: &Cell, method: &str, index: usize, measured: &[Measured]) -> Value {
+    let outcomes: Vec<_> = measured.iter().map(|m| (&m.outcomes[index], m.bound.as_ref())).collect();
+    let tolerance = Tolerance::of(cell);
+    let sure: Vec<_> = outcomes.iter().filter(|(o, _)| o.status.depth_is_sure() && o.errors.is_some()).collect();
+    let ok: Vec<_> = sure.iter().copied().filter(|(o, _)| o.status == Status::Ok).collect();
+    let z_mm: Vec<f64> = sure.iter().filter_map(|(o, _)| Some(1e3 * o.errors?.z_m.abs())).collect();
+    let angle_deg: Vec<f64> = ok.iter().filter_map(|(o, _)| Some(o.errors?.tilt_rad.norm().to_degrees())).collect();
+    let bound_of = |answers: &[&(&Outcome, Option<&Matrix3<f64>>)]| {
+        bound_rms(&answers.iter().filter_map(|(_, bound)| *bound).collect::<Vec<_>>())
+    };
+    let ratio = match (bound_of(&sure), bound_of(&ok), rms(&z_mm), rms(&angle_deg)) {
+        (Some([z_bound, _]), Some([_, angle_bound]), Some(z), Some(angle)) => {
+            Some(json!({"z": z / z_bound, "angle": angle / angle_bound}))
         }
-    }
-
-    /// For the JSON file; millimetres and degrees.
-    pub fn to_json(&self) -> Value {
-        let millimetres = self.z_m.map(|x| x * 1e3);
-        let degrees = self.angle_rad.map(f64::to_degrees);
-        json!({
-            "cell": self.cell, "method": self.method, "poses": self.count,
-            "sure": self.sure, "right": self.right, "wrong_ok": self.wrong_ok,
-            "z_mm": {"median": finite(millimetres[0]), "p95": finite(millimetres[1]), "rms": finite(millimetres[2])},
-            "angle_deg": {"median": finite(degrees[0]), "p95": finite(degrees[1]), "rms": finite(degrees[2])},
-            "bound": self.bound.map(|[z, angle]| json!({"z_mm": z * 1e3, "angle_deg": angle.to_degrees()})),
-            "ratio": self.ratio.map(|[z, angle]| json!({"z": z, "angle": angle})),
-            "nees": self.nees, "nees_interval": self.nees_interval, "cpu_ms": finite(self.cpu_millis),
-        })
-    }
+        _ => None,
+    };
+    let nees: Vec<f64> = ok.iter().filter_map(|(o, _)| o.normalised_error).collect();
+    let mean_nees = (!nees.is_empty()).then(|| nees.iter().sum::<f64>() / nees.len() as f64);
+    let times: Vec<f64> = outcomes.iter().map(|(o, _)| o.cpu_millis).collect();
+    let count = |is: fn(&Outcome, (f64, f64)) -> bool| {
+        outcomes.iter().filter(|(o, bound)| is(o, tolerance.with(*bound))).count()
+    };
+    let (right, poses) = (count(is_right), outcomes.len());
+    let percent = |part: usize| 100.0 * part as f64 / poses.max(1) as f64;
+    json!({
+        "cell": cell.name, "method": method, "poses": poses, "sure": sure.len(), "right": right, "wrong_ok": count(is_wrong_ok),
+        "sure_percent": percent(sure.len()), "right_percent": percent(right),
+        "unsure_percent": percent(poses - sure.len()), "missed_percent": percent(poses - right),
+        "z_mm": three(&z_mm), "angle_deg": three(&angle_deg),
+        "bound": bound_of(&outcomes.iter().collect::<Vec<_>>()).map(|[z, angle]| json!({"z_mm": z, "angle_deg": angle})),
+        "ratio": ratio, "nees": mean_nees, "nees_interval": mean_nees.map(|mean| interval(mean, 3.0 * nees.len() as f64)),
+        "cpu_ms": median(&times),
+    })
 }
 
-/// JSON has no NaN.
-fn finite(value: f64) -> Option<f64> {
-    value.is_finite().then_some(value)
+fn three(errors: &[f64]) -> Value {
+    json!({"median": median(errors), "p95": percentile(errors, 95.0), "rms": rms(errors)})
 }
 
-fn three(errors: &[f64]) -> [f64; 3] {
-    let or_none = |value: Option<f64>| value.unwrap_or(f64::NAN);
-    [or_none(median(errors)), or_none(percentile(errors, 95.0)), or_none(rms(errors))]
-}
-
+/// Millimetres and degrees.
 fn bound_rms(bounds: &[&Matrix3<f64>]) -> Option<[f64; 2]> {
     let mean = |of: fn(&Matrix3<f64>) -> f64| bounds.iter().map(|b| of(b)).sum::<f64>() / bounds.len() as f64;
-    (!bounds.is_empty()).then(|| [mean(|b| b[(0, 0)]).sqrt(), mean(|b| b[(1, 1)] + b[(2, 2)]).sqrt()])
+    let angle_rad = || mean(|b| b[(1, 1)] + b[(2, 2)]).sqrt();
+    (!bounds.is_empty()).then(|| [1e3 * mean(|b| b[(0, 0)]).sqrt(), angle_rad().to_degrees()])
 }
 
 /// Tolerances.
@@ -177,6 +133,7 @@ fn is_wrong_ok(outcome: &Outcome, (z, angle): (f64, f64)) -> bool {
 #[cfg(test)]
 mod tests {
     use nalgebra::{Vector2, Vector3};
+    use pb3dp_benchmarks::table::number;
 
     use super::super::trial::PlaneErrors;
     use super::*;
@@ -232,13 +189,21 @@ mod tests {
             measured(Status::WeakTilt, 3.0, 50.0),
             measured(Status::NotObservable, 90.0, 90.0),
         ];
-        let summary = Summary::of(&cell, "some", 1, &all);
-        assert_eq!((summary.count, summary.sure, summary.right, summary.wrong_ok), (4, 3, 2, 0));
-        assert!((summary.z_m[0] - 2e-3).abs() < 1e-12);
-        assert!((summary.angle_rad[0].to_degrees() - 0.75).abs() < 1e-9);
-        let [z, angle] = summary.ratio.unwrap();
-        assert!((z - (14.0f64 / 3.0).sqrt() / 2.0).abs() < 1e-9, "{z}");
-        assert!((angle - (0.625f64.sqrt().to_radians()) / 2e-3).abs() < 1e-9, "{angle}");
-        assert_eq!(summary.nees, Some(1.5));
+        let row = summary(&cell, "some", 1, &all);
+        let counts = ["poses", "sure", "right", "wrong_ok"].map(|key| row[key].as_u64().unwrap());
+        assert_eq!(counts, [4, 3, 2, 0]);
+        let close = |path: &str, expected: f64| {
+            let found = number(&row, path).unwrap();
+            assert!((found - expected).abs() < 1e-9, "{path}: {found} {expected}");
+        };
+        close("z_mm.median", 2.0);
+        close("angle_deg.median", 0.75);
+        close("bound.z_mm", 2.0);
+        close("ratio.z", (14.0f64 / 3.0).sqrt() / 2.0);
+        close("ratio.angle", 0.625f64.sqrt().to_radians() / 2e-3);
+        close("missed_percent", 50.0);
+        close("nees", 1.5);
+        let shown = pb3dp_benchmarks::table::row(&COLUMNS, &row);
+        assert!(shown.contains("| some | 4 | 75.0 | 50.0 | 0 | 2.000 / ") && !shown.contains('?'), "{shown}");
     }
 }

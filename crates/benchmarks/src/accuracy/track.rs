@@ -15,7 +15,7 @@ use super::cell::RegionKind;
 use super::conditions;
 use super::random::hash_of;
 use super::scenes::{SceneStore, rigs, sensor};
-use super::sequence_summary::{SequenceSummary, Tracked};
+use super::sequence_summary::{Run, SequenceRow, Tracked};
 use super::sequences::{SEARCH, SequenceSpec, model_in_first_frame};
 use super::trial::rectangle_around;
 use pb3dp_hal_platform::cpu_time::timed;
@@ -63,14 +63,6 @@ impl<'a> Frames<'a> {
     }
 }
 
-/// Answers of some trackers to one sequence, and the truth.
-pub struct Run {
-    /// Per tracker: the method and its answers.
-    pub tracked: Vec<(&'static str, Vec<Tracked>)>,
-    /// Pose of the target in each frame.
-    pub truth: Vec<Pose<CamLeft, Model>>,
-}
-
 /// Runs every method over a sequence.
 ///
 /// # Errors
@@ -113,9 +105,9 @@ pub fn run_sequence(
     methods: &[Method],
     seed: u32,
     scenes: &mut SceneStore,
-) -> anyhow::Result<Vec<SequenceSummary>> {
+) -> anyhow::Result<Vec<SequenceRow>> {
     let run = follow(spec, methods, seed, scenes)?;
-    Ok(run.tracked.iter().map(|(method, tracked)| SequenceSummary::of(spec, method, tracked, &run.truth)).collect())
+    Ok(run.tracked.iter().map(|(method, tracked)| SequenceRow::of(spec, method, tracked, &run.truth)).collect())
 }
 
 /// Judges the answers of one tracker to one sequence.

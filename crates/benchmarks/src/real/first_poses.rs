@@ -1,13 +1,14 @@
 //! First poses of tracks on real cases, beside those of single pairs: whether the standard deviations that they state hold.
 
 use std::path::Path;
-use std::rc::Rc;
 
 use nalgebra::{Vector2, Vector3};
+use pb3dp_benchmarks::table::{Column, markdown};
 use pb3dp_estimation::estimator::{EstimatorConfig, Method, Tracker};
 use pb3dp_estimation_core::method::EstimateRequest;
 use pb3dp_record::dataset::load_case;
 use pb3dp_record::metrics::{self, compare_plane};
+use serde_json::{Value, json};
 
 use super::cases::{self, Prepared};
 use super::score::{Answer, Entry, Maker};
@@ -30,15 +31,17 @@ pub fn run(args: &Args, folder: &Path) -> anyhow::Result<()> {
         entries[0].push(ours::run(&prepared, Method::Direct, 1));
         entries[1].push(first_pose(&prepared)?);
     }
-    println!(
-        "| poses | cases, ok | normal deg med / p95 | in 2 sigmas %: depth, normal | normals beyond 3 sigmas and 1 degree |"
-    );
-    println!("|---|---|---|---|---|");
-    for entries in &entries {
-        println!("{}", row(entries));
-    }
+    print!("{}", markdown(&COLUMNS, &entries.map(|entries| row(&entries))));
     Ok(())
 }
+
+const COLUMNS: [Column<'_>; 5] = [
+    ("poses", "{poses}"),
+    ("cases, ok", "{cases}, {ok}"),
+    ("normal deg med / p95", "{normal_deg.0:2} / {normal_deg.1:2}"),
+    ("in 2 sigmas %: depth, normal", "{in_2_sigmas_percent.0:0}, {in_2_sigmas_percent.1:0}"),
+    ("normals beyond 3 sigmas and 1 degree", "{beyond}"),
+];
 
 /// The first pose of a track.
 fn first_pose(case: &Prepared) -> anyhow::Result<Entry> {
@@ -63,21 +66,12 @@ fn first_pose(case: &Prepared) -> anyhow::Result<Entry> {
             map: None,
         }
     });
-    Ok(Entry {
-        case: Rc::clone(&case.facts),
-        method: "first pose of a track".to_owned(),
-        maker: Maker::Ours,
-        status: Some(found.status.as_str()),
-        answer,
-        surface: None,
-        ms: None,
-        first_ms: None,
-        rows_ms: None,
-    })
+    let status = Some(found.status.as_str());
+    Ok(Entry { status, answer, ..Entry::new(&case.facts, "first pose of a track", Maker::Ours) })
 }
 
-fn row(entries: &[Entry]) -> String {
-    let sure: Vec<&Entry> = entries.iter().filter(|entry| entry.status == Some("ok")).collect();
+fn row(entries: &[Entry]) -> Value {
+    let sure: Vec<&Entry> = entries.iter().filter(|entry| entry.is_ok()).collect();
     let mut normals_deg: Vec<f64> =
         sure.iter().filter_map(|entry| Some(entry.answer?.normal_rad.to_degrees())).collect();
     normals_deg.sort_by(f64::total_cmp);
@@ -94,17 +88,14 @@ fn row(entries: &[Entry]) -> String {
         let is_large = entry.answer.is_some_and(|answer| answer.normal_rad > LARGE_RAD);
         is_large && entry.squared_scores().is_some_and(|(_, normal)| normal > 9.0)
     };
-    format!(
-        "| {} | {}, {} | {:.2} / {:.2} | {:.0}, {:.0} | {} |",
-        entries.first().map_or("", |entry| entry.method.as_str()),
-        entries.len(),
-        sure.len(),
-        at(0.5),
-        at(0.95),
-        within(|scores| scores.0),
-        within(|scores| scores.1),
-        sure.iter().filter(is_silent).count()
-    )
+    json!({
+        "poses": entries.first().map(|entry| entry.method.as_str()),
+        "cases": entries.len(),
+        "ok": sure.len(),
+        "normal_deg": [at(0.5), at(0.95)],
+        "in_2_sigmas_percent": [within(|scores| scores.0), within(|scores| scores.1)],
+        "beyond": sure.iter().filter(is_silent).count(),
+    })
 }
 
 #[cfg(test)]
@@ -124,6 +115,7 @@ mod tests {
         };
         let unsure = Entry { status: Some("weak-tilt"), ..with(50.0, 50.0) };
         let entries = [with(1.0, 0.5), with(3.0, 1.5), with(-1.5, 4.0), with(0.1, 0.2), unsure];
-        assert_eq!(row(&entries), "| m | 5, 4 | 1.50 / 4.00 | 75, 75 | 1 |");
+        let shown = pb3dp_benchmarks::table::row(&COLUMNS, &row(&entries));
+        assert_eq!(shown, "| m | 5, 4 | 1.50 / 4.00 | 75, 75 | 1 |\n");
     }
 }

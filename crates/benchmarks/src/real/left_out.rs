@@ -14,11 +14,14 @@ use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
 use anyhow::{Context, bail};
+use pb3dp_benchmarks::circumstances::Circumstances;
+use pb3dp_benchmarks::page::{save, text, update};
 use pb3dp_record::dataset::{Case, load_case};
 
 use self::fit::Fold;
 use self::outcomes::Measurements;
-use super::score::{CaseFacts, Entry};
+use super::score::CaseFacts;
+use super::table::failures;
 use super::{Args, cases, peers};
 
 /// Options of the measurement on scenes left out.
@@ -62,30 +65,27 @@ pub fn run(args: &Args, folder: &Path) -> anyhow::Result<()> {
     }
     let chosen = choose(found, options.open_held_back)?;
     eprintln!("{} cases of {} scenes", chosen.len(), count_of(chosen.iter().map(|case| case.scene.as_str())));
-    let listed = constants::all(&args.root)?;
+    let constants = constants::all();
     let facts = chosen.iter().map(|case| facts(&case.folder)).collect::<anyhow::Result<Vec<_>>>()?;
-    let peers = peer_entries(args, &facts)?;
     let folders: Vec<PathBuf> = chosen.iter().map(|case| case.folder.clone()).collect();
-    let mut measured = Measurements::new(folders, listed.iter().map(|listed| listed.constant.clone()).collect());
+    let mut measured = Measurements::new(folders, constants.clone());
     let changes = if options.open_held_back { 0 } else { options.changes };
     let scenes: Vec<&str> = chosen.iter().map(|case| case.scene.as_str()).collect();
-    let groups: Vec<_> = facts.iter().map(|facts| facts.group).collect();
-    let fitted = fit::fit(&mut measured, &scenes, &groups, changes)?;
-    let report = report::Report { listed: &listed, facts: &facts, fitted: &fitted, peers: &peers, changes };
-    print!("{}", report.text());
+    let fitted = fit::fit(&mut measured, &scenes, changes)?;
+    let mut entries = report::entries(&facts, &fitted);
+    entries.extend(peers::entries_of_files(&args.peer_results, &facts)?);
+    let circumstances = Circumstances::of(&args.root);
+    let kept = report::kept(&entries, &constants, circumstances.to_json());
+    let parts = report::parts(&kept, &constants, &fitted, (changes, &circumstances.line()));
+    print!("{}", text(&parts));
     if args.failures {
-        eprint!("{}", report.failures());
+        eprint!("{}", failures(entries.iter().filter(|entry| entry.method == report::LEFT_OUT)));
     }
     if options.open_held_back || args.filter.is_some() {
         return Ok(());
     }
-    let circumstances = crate::common::circumstances::Circumstances::of(&args.root);
-    let kept = report.to_json(&circumstances);
-    super::write(&args.root, KEPT, &format!("{kept:#}\n"))?;
-    if args.no_docs {
-        return Ok(());
-    }
-    super::write(&args.root, PAGE, &report.page(&circumstances))
+    save(&args.root.join(KEPT), &format!("{kept:#}\n"))?;
+    if args.no_docs { Ok(()) } else { update(&args.root.join(PAGE), &parts) }
 }
 
 /// Whether a case stays closed, to judge the structure of the method once.
@@ -125,14 +125,4 @@ fn count_of<'a>(names: impl Iterator<Item = &'a str>) -> usize {
 
 fn facts(folder: &Path) -> anyhow::Result<Rc<CaseFacts>> {
     Ok(cases::load(folder)?.context("the truth is missing")?.facts)
-}
-
-fn peer_entries(args: &Args, facts: &[Rc<CaseFacts>]) -> anyhow::Result<Vec<Entry>> {
-    let mut entries = Vec::new();
-    for file in &args.peer_results {
-        let text =
-            std::fs::read_to_string(file).with_context(|| format!("cannot read --peer-results {}", file.display()))?;
-        entries.extend(peers::entries(&text, facts, &file.display().to_string())?);
-    }
-    Ok(entries)
 }

@@ -1,7 +1,5 @@
 //! Our own methods on a case.
 
-use std::rc::Rc;
-
 use nalgebra::Vector2;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
 use pb3dp_estimation_core::estimate::PlaneEstimate;
@@ -18,17 +16,7 @@ use pb3dp_hal_platform::cpu_time::timed;
 /// the time the median of all calls. Measurements once per rig or scene run before and are timed separately. A rejected
 /// case has no answer; the reason goes to standard error.
 pub fn run(case: &Prepared, method: Method, repeat: u32) -> Entry {
-    let mut entry = Entry {
-        case: Rc::clone(&case.facts),
-        method: method.name().to_owned(),
-        maker: Maker::Ours,
-        status: Some("error"),
-        answer: None,
-        surface: None,
-        ms: None,
-        first_ms: None,
-        rows_ms: None,
-    };
+    let mut entry = Entry { status: Some("error"), ..Entry::new(&case.facts, method.name(), Maker::Ours) };
     if let Err(error) = fill(&mut entry, case, method, repeat) {
         eprintln!("{}: {method}: {error:#}", case.facts.name);
     }

@@ -46,6 +46,20 @@ pub fn run(python: &Path, script: &Path, cases: &Path, repeat: u32) -> anyhow::R
     String::from_utf8(output.stdout).with_context(|| format!("the output of {SCRIPT} is not UTF-8 text"))
 }
 
+/// The entries of files with the output of earlier runs.
+///
+/// # Errors
+/// A file that cannot be read, or that has a line in another format.
+pub fn entries_of_files(files: &[PathBuf], cases: &[Rc<CaseFacts>]) -> anyhow::Result<Vec<Entry>> {
+    let mut found = Vec::new();
+    for file in files {
+        let text =
+            std::fs::read_to_string(file).with_context(|| format!("cannot read --peer-results {}", file.display()))?;
+        found.extend(entries(&text, cases, &file.display().to_string())?);
+    }
+    Ok(found)
+}
+
 /// Converts the lines to entries for the known cases; `source` names them in messages. A case that a tool left out has
 /// no answer from this tool.
 ///
@@ -85,17 +99,7 @@ fn entry_of(line: &str, cases: &HashMap<&str, &Rc<CaseFacts>>) -> anyhow::Result
         }),
         _ => None,
     };
-    Ok(Some(Entry {
-        case: Rc::clone(case),
-        method: method.to_owned(),
-        maker: Maker::Peer,
-        status: None,
-        answer,
-        surface: None,
-        ms: number("ms"),
-        first_ms: None,
-        rows_ms: None,
-    }))
+    Ok(Some(Entry { answer, ms: number("ms"), ..Entry::new(case, method, Maker::Peer) }))
 }
 
 #[cfg(test)]

@@ -11,6 +11,12 @@ const PASS_NORMAL_DEG: f64 = 5.0;
 /// An answer with larger errors is grossly wrong.
 const GROSS_Z_RATIO: f64 = 0.015;
 const GROSS_NORMAL_DEG: f64 = 20.0;
+/// An answer with status `ok` is wrong if it is off by more than these, and by more standard deviations, the truth's included.
+const WRONG_Z_RATIO: f64 = 0.01;
+const WRONG_NORMAL_DEG: f64 = 5.0;
+const WRONG_SIGMAS: f64 = 3.0;
+/// A stated standard deviation covers an error of at most this many.
+const COVERED_SIGMAS: f64 = 2.0;
 /// This many standard deviations of the truth are always allowed.
 const TRUTH_SIGMAS: f64 = 2.0;
 
@@ -136,6 +142,40 @@ pub struct Entry {
 }
 
 impl Entry {
+    /// Without any result.
+    pub fn new(case: &Rc<CaseFacts>, method: &str, maker: Maker) -> Self {
+        let (case, method) = (Rc::clone(case), method.to_owned());
+        Self { case, method, maker, status: None, answer: None, surface: None, ms: None, first_ms: None, rows_ms: None }
+    }
+
+    /// The errors of depth and normal in standard deviations, the truth's included; `None` without one. The normal is judged of planes.
+    fn sigmas(&self) -> [Option<f64>; 2] {
+        let (Some(answer), truth) = (self.answer, self.case.sigma) else { return [None; 2] };
+        let z = answer.z_sigma_m.map(|own| answer.z_m.abs() / own.hypot(truth.z_m));
+        let normal = answer.normal_sigma_rad.map(|own| answer.normal_rad / own.hypot(truth.normal_rad));
+        [z, normal.filter(|_| self.case.is_planar())]
+    }
+
+    /// Whether the stated standard deviations of depth and normal cover the errors.
+    pub fn covered(&self) -> [Option<bool>; 2] {
+        self.sigmas().map(|sigmas| sigmas.map(|sigmas| sigmas <= COVERED_SIGMAS))
+    }
+
+    /// Whether the status is `ok`.
+    pub fn is_ok(&self) -> bool {
+        self.status == Some("ok")
+    }
+
+    /// Whether the status is `ok` and the plane is wrong.
+    pub fn is_wrong_ok(&self) -> bool {
+        let beyond = self.sigmas().map(|sigmas| sigmas.is_none_or(|sigmas| sigmas > WRONG_SIGMAS));
+        self.is_ok()
+            && self.answer.is_some_and(|answer| {
+                let normal_is_off = self.case.is_planar() && answer.normal_rad.to_degrees() > WRONG_NORMAL_DEG;
+                answer.z_m.abs() > WRONG_Z_RATIO * self.case.z_m && beyond[0] || normal_is_off && beyond[1]
+            })
+    }
+
     /// The grade of the answer, if there is one.
     pub fn grade(&self) -> Option<Grade> {
         self.answer.map(|answer| self.case.grade(answer.z_m, answer.normal_rad))
@@ -222,18 +262,7 @@ pub(super) mod tests {
     /// An entry of one of our methods.
     pub fn entry(case: &Rc<CaseFacts>, method: &str, answer: Option<Answer>) -> Entry {
         let status = Some(if answer.is_some() { "ok" } else { "not-observable" });
-        let (case, method) = (Rc::clone(case), method.to_owned());
-        Entry {
-            case,
-            method,
-            maker: Maker::Ours,
-            status,
-            answer,
-            surface: None,
-            ms: Some(2.0),
-            first_ms: Some(3.0),
-            rows_ms: None,
-        }
+        Entry { status, answer, ms: Some(2.0), first_ms: Some(3.0), ..Entry::new(case, method, Maker::Ours) }
     }
 
     #[track_caller]
@@ -283,6 +312,22 @@ pub(super) mod tests {
         // 10 mm over sqrt(3^2 + 4^2) mm is 2, 2 degrees over sqrt(0.8^2 + 0.6^2) degrees is 2: squared 4.
         let (z, normal) = one.squared_scores().expect("complete");
         assert!((z - 4.0).abs() < 1e-9 && (normal - 4.0).abs() < 1e-9, "{z} {normal}");
+    }
+
+    #[test]
+    fn a_wrong_answer_is_off_by_more_than_it_states() {
+        let case = case("a", Group::Boards, (3.0, 0.8));
+        let with = |z_mm: f64, z_sigma_mm: f64| {
+            let answer = Answer { z_sigma_m: Some(1e-3 * z_sigma_mm), ..answer(z_mm, 2.0) };
+            entry(&case, "m", Some(answer))
+        };
+        // 1 % of 2 m is 20 mm; sqrt(3^2 + 4^2) mm is 5 mm.
+        assert_eq!([with(9.0, 4.0), with(11.0, 4.0)].map(|one| one.covered()[0]), [Some(true), Some(false)]);
+        assert_eq!(
+            [with(21.0, 4.0), with(19.0, 4.0), with(21.0, 7.0)].map(|one| one.is_wrong_ok()),
+            [true, false, false]
+        );
+        assert!(!Entry { status: Some("weak-tilt"), ..with(21.0, 4.0) }.is_wrong_ok());
     }
 
     #[test]

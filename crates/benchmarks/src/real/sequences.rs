@@ -4,6 +4,9 @@ use std::path::PathBuf;
 
 use anyhow::{Context, bail};
 use nalgebra::Vector2;
+use pb3dp_benchmarks::circumstances::Circumstances;
+use pb3dp_benchmarks::page::{save, text, update};
+use pb3dp_benchmarks::table::{Column, markdown};
 use pb3dp_estimation::estimator::{EstimatorConfig, FramePrior, Method, Tracker};
 use pb3dp_estimation_core::method::EstimateRequest;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
@@ -16,8 +19,7 @@ use pb3dp_record::dataset::{Sequence, is_sequence, load_sequence};
 use pb3dp_record::metrics::{MotionErrors, MotionSummary, Statistics, compare_motion, median};
 use serde_json::{Value, json};
 
-use super::{Args, write};
-use crate::common::circumstances::Circumstances;
+use super::Args;
 
 const KEPT: &str = "out/bench/sequences.json";
 const PAGE: &str = "docs/benchmarks/sequences.md";
@@ -61,19 +63,16 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if rows.is_empty() {
         bail!("no sequence has a `truth`: nothing to compare with");
     }
-    let results: Vec<Value> = rows.iter().map(Row::to_json).collect();
-    if args.json {
-        results.iter().for_each(|line| println!("{line}"));
-    } else {
-        print!("{}", table(&rows));
-    }
     let circumstances = Circumstances::of(&args.root);
-    let kept = json!({"bench": "sequences", "where": circumstances.to_json(), "results": results});
-    write(&args.root, KEPT, &format!("{kept:#}\n"))?;
-    if args.no_docs {
-        return Ok(());
+    let parts = [("run", format!("{}\n\n{}", circumstances.line(), markdown(&COLUMNS, &rows)))];
+    if args.json {
+        rows.iter().for_each(|line| println!("{line}"));
+    } else {
+        print!("{}", text(&parts));
     }
-    write(&args.root, PAGE, &page(&rows, &circumstances))
+    let kept = json!({"bench": "sequences", "where": circumstances.to_json(), "results": rows});
+    save(&args.root.join(KEPT), &format!("{kept:#}\n"))?;
+    if args.no_docs { Ok(()) } else { update(&args.root.join(PAGE), &parts) }
 }
 
 /// The sequence folders among the given folders and in them, by name.
@@ -97,22 +96,20 @@ fn folders(given: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// What a method has made of a sequence.
-struct Row {
-    sequence: String,
-    method: Method,
-    frames: usize,
-    /// Frames with status `ok`, and those of them that are wrong.
-    ok: usize,
-    wrong_ok: usize,
-    /// Over the frames with a pose; `None` without any.
-    summary: Option<MotionSummary>,
-    /// Absolute error of the motion along the line of sight, metres.
-    depth_m: Option<Statistics>,
-    millis: f64,
-}
+const COLUMNS: [Column<'_>; 10] = [
+    ("sequence", "{sequence}"),
+    ("method", "{method}"),
+    ("frames", "{frames}"),
+    ("with a pose", "{with_pose}"),
+    ("ok", "{ok}"),
+    ("wrong ok", "{wrong_ok}"),
+    ("translation mm med / p95", "{translation_m_median_p95.0*1e3:3} / {translation_m_median_p95.1*1e3:3}"),
+    ("depth mm med / p95", "{depth_m_median_p95.0*1e3:3} / {depth_m_median_p95.1*1e3:3}"),
+    ("rotation deg med / p95", "{rotation_rad_median_p95.0*57.29577951:3} / {rotation_rad_median_p95.1*57.29577951:3}"),
+    ("ms med", "{ms_median:2}"),
+];
 
-fn follow(sequence: &Sequence, truth: &[Pose<CamLeft, Model>], method: Method) -> anyhow::Result<Row> {
+fn follow(sequence: &Sequence, truth: &[Pose<CamLeft, Model>], method: Method) -> anyhow::Result<Value> {
     let calibration = sequence.load_calibration()?;
     let mut tracker = Tracker::new(method, &calibration.rig, &EstimatorConfig::default())?;
     let corners = sequence.region_polygon_left_px.iter().map(|[u, v]| Vector2::new(*u, *v));
@@ -149,107 +146,23 @@ fn follow(sequence: &Sequence, truth: &[Pose<CamLeft, Model>], method: Method) -
         wrong_ok += usize::from(*status == Status::Ok && is_wrong(error, pose));
         depths.push(error.translation_m.dot(&pose.translation_m().normalize()).abs());
     }
-    Ok(Row {
-        sequence: sequence.folder.file_name().unwrap_or_default().to_string_lossy().into_owned(),
-        method,
-        frames: errors.len(),
-        ok,
-        wrong_ok,
-        summary: MotionSummary::of(&errors),
-        depth_m: Statistics::of(&depths),
-        millis: median(&millis).unwrap_or_default(),
-    })
+    let summary = MotionSummary::of(&errors);
+    let two = |of: Option<&Statistics>| of.map(|s| [s.median, s.p95]);
+    Ok(json!({
+        "sequence": sequence.folder.file_name().unwrap_or_default().to_string_lossy(),
+        "method": method.name(),
+        "frames": errors.len(),
+        "with_pose": summary.as_ref().map_or(0, |s| s.frames - s.without_pose),
+        "ok": ok,
+        "wrong_ok": wrong_ok,
+        "translation_m_median_p95": two(summary.as_ref().map(|s| &s.translation_m)),
+        "depth_m_median_p95": two(Statistics::of(&depths).as_ref()),
+        "rotation_rad_median_p95": two(summary.as_ref().map(|s| &s.rotation_rad)),
+        "ms_median": median(&millis).unwrap_or_default(),
+    }))
 }
 
 fn is_wrong(error: &MotionErrors, pose: &Pose<CamLeft, Model>) -> bool {
     error.translation_m.norm() > WRONG_SHARE * pose.translation_m().norm()
         || error.rotation_rad.norm().to_degrees() > WRONG_DEG
-}
-
-const HEADINGS: [&str; 10] = [
-    "sequence",
-    "method",
-    "frames",
-    "with a pose",
-    "ok",
-    "wrong ok",
-    "translation mm med / p95",
-    "depth mm med / p95",
-    "rotation deg med / p95",
-    "ms med",
-];
-
-impl Row {
-    fn cells(&self) -> [String; 10] {
-        let two = |of: Option<&Statistics>, scale: f64| {
-            of.map_or("-".to_owned(), |s| format!("{:.3} / {:.3}", scale * s.median, scale * s.p95))
-        };
-        let summary = self.summary.as_ref();
-        [
-            self.sequence.clone(),
-            self.method.name().to_owned(),
-            self.frames.to_string(),
-            summary.map_or(0, |s| s.frames - s.without_pose).to_string(),
-            self.ok.to_string(),
-            self.wrong_ok.to_string(),
-            two(summary.map(|s| &s.translation_m), 1e3),
-            two(self.depth_m.as_ref(), 1e3),
-            two(summary.map(|s| &s.rotation_rad), 1_f64.to_degrees()),
-            format!("{:.2}", self.millis),
-        ]
-    }
-
-    fn to_json(&self) -> Value {
-        let two = |of: Option<&Statistics>| of.map(|s| [s.median, s.p95]);
-        let summary = self.summary.as_ref();
-        json!({
-            "sequence": self.sequence,
-            "method": self.method.name(),
-            "frames": self.frames,
-            "with_pose": summary.map_or(0, |s| s.frames - s.without_pose),
-            "ok": self.ok,
-            "wrong_ok": self.wrong_ok,
-            "translation_m_median_p95": two(summary.map(|s| &s.translation_m)),
-            "depth_m_median_p95": two(self.depth_m.as_ref()),
-            "rotation_rad_median_p95": two(summary.map(|s| &s.rotation_rad)),
-            "ms_median": self.millis,
-        })
-    }
-}
-
-/// The rows as a table of Markdown, which a terminal shows as well.
-fn table(rows: &[Row]) -> String {
-    let line = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
-    let mut text = line(&HEADINGS.map(str::to_owned));
-    text.push_str(&line(&HEADINGS.map(|_| "---".to_owned())));
-    rows.iter().for_each(|row| text.push_str(&line(&row.cells())));
-    text
-}
-
-fn page(rows: &[Row], circumstances: &Circumstances) -> String {
-    let Circumstances { commit, changed, processor, compiler } = circumstances;
-    let changed = if *changed { ", with uncommitted changes" } else { "" };
-    format!(
-        "\
-# Sequences with known truth
-
-This page is written by the command below; change the program, not the page.
-
-Every method follows the region of the first frame, with its default parameters and the calibration, depth range and times of the sequence.
-Errors are those of the motion since the first frame with a pose, or the second one if the exposures of the first pair differ, over the frames with a pose; the frame `model` of the truth is another one.
-
-* **wrong ok**: status `ok`, but the motion is off by more than {:.0} % of the distance, or {WRONG_DEG} degrees, as after a jump by a period of the texture.
-* **depth**: the part of the translation error along the line of sight.
-* **ms**: CPU time of one thread per frame, median.
-
-```text
-cargo xtask bench real -- --sequences DIR
-```
-
-Commit {commit}{changed}; {processor}; {compiler}.
-
-{}",
-        100.0 * WRONG_SHARE,
-        table(rows)
-    )
 }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use image::RgbImage;
-use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Point3, UnitQuaternion, Vector3};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::frames::{CamLeft, Target, World};
@@ -11,17 +11,18 @@ use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
 use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::{Lighting, Scene, ScenePoses};
 use pb3dp_sim::sensor::SensorConfig;
-use pb3dp_sim::targets::mesh::Mesh;
 use pb3dp_sim::targets::part::{Anchor, SceneObject, ScenePart};
 use pb3dp_sim::targets::{BackdropConfig, Paint, TargetModel, backdrop, build_painted};
+
+use crate::accuracy::scenes::panel;
 
 /// Seed of textures and noise.
 const SEED: u32 = 11;
 /// Columns of the images of nominal size.
 const WIDTH: f64 = 640.0;
-/// Half width and height of the textured wall, and of one repeat of its texture, metres.
+/// Half width and height of the textured wall, metres, and copies of its texture along each side.
 const WALL_M: [f64; 2] = [0.48, 0.36];
-const COPY_M: [f64; 2] = [0.06, 0.045];
+const COPIES: f64 = 8.0;
 /// Frames per second of the moving targets.
 const RATE_HZ: f64 = 30.0;
 
@@ -65,15 +66,9 @@ pub fn wall_through(lenses: Lenses, size: ImageSize) -> anyhow::Result<Clip> {
 
 fn wall_of(rig: StereoRig, frames: usize) -> anyhow::Result<Clip> {
     let texture = Arc::new(Paint::Colourful.texture(SEED));
-    let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].map(|(x, y)| {
-        let place = Point3::new(x * WALL_M[0], y * WALL_M[1], 0.0);
-        let copies = Vector2::new(WALL_M[0] / COPY_M[0], WALL_M[1] / COPY_M[1]);
-        (place, Vector2::new(x + 1.0, y + 1.0).component_mul(&copies) * 0.5)
-    });
-    let mut mesh = Mesh::default();
-    mesh.add_quad(corners);
-    let outline_m = corners.iter().map(|(place, _)| *place).collect();
-    let part = ScenePart { mesh, texture, anchor: Anchor::Target, object: SceneObject::Target };
+    let part = panel(WALL_M, 0.0, COPIES, texture, SceneObject::Target, Anchor::Target);
+    let [x, y] = WALL_M;
+    let outline_m = [(-x, -y), (x, -y), (x, y), (-x, y)].map(|(x, y)| Point3::new(x, y, 0.0)).to_vec();
     let target = TargetModel { name: "wall", outline_m, rear_z_m: 0.0 };
     render(vec![part], target, rig, (0.0, 0.25), frames)
 }
@@ -91,10 +86,7 @@ pub fn square(size: ImageSize, centre: (i32, i32), side_px: u32) -> Region {
 /// # Errors
 /// If the simulator rejects the setup.
 pub fn crab(size: ImageSize, frames: usize) -> anyhow::Result<Clip> {
-    let (target, mut parts) = build_painted(Paint::Crab, 0.0, SEED)?;
-    let config = BackdropConfig { size_m: [0.6, 0.45], gap_m: 0.03 };
-    parts.extend(backdrop::build(&config, target.rear_z_m, SEED)?);
-    render(parts, target, rig(size)?, (0.05, 1.0), frames)
+    crab_scene(size, frames, true)
 }
 
 /// The same scene without the crab: the images of a tracker whose target is hidden.
@@ -102,9 +94,16 @@ pub fn crab(size: ImageSize, frames: usize) -> anyhow::Result<Clip> {
 /// # Errors
 /// If the simulator rejects the setup.
 pub fn empty_place(size: ImageSize, frames: usize) -> anyhow::Result<Clip> {
-    let (target, _) = build_painted(Paint::Crab, 0.0, SEED)?;
+    crab_scene(size, frames, false)
+}
+
+fn crab_scene(size: ImageSize, frames: usize, is_shown: bool) -> anyhow::Result<Clip> {
+    let (target, mut parts) = build_painted(Paint::Crab, 0.0, SEED)?;
+    if !is_shown {
+        parts.clear();
+    }
     let config = BackdropConfig { size_m: [0.6, 0.45], gap_m: 0.03 };
-    let parts = backdrop::build(&config, target.rear_z_m, SEED)?;
+    parts.extend(backdrop::build(&config, target.rear_z_m, SEED)?);
     render(parts, target, rig(size)?, (0.05, 1.0), frames)
 }
 

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use super::clips::{Clip, SEARCH, square, wall};
 use super::cold::SIZE;
 use super::times::{Times, repeat};
-use super::tracking::{Follower, POINTS};
+use super::tracking::{Follower, POINTS, follow_in_turn};
 
 const LARGE: ImageSize = ImageSize { width: 1280, height: 1024 };
 const POINTS_TRIED: [usize; 3] = [250, 1000, 4000];
@@ -20,43 +20,22 @@ const THREADS_TRIED: [usize; 2] = [1, 2];
 const SIDE_PX: u32 = 100;
 /// Rendered frames of the small and the large wall.
 const FRAMES: usize = 20;
-/// Warm-up frames.
-const WARM_UP: usize = 6;
 
-/// One measurement.
-pub struct ScalingRow {
-    /// The varied quantity.
-    pub varied: &'static str,
-    /// Its value.
-    pub value: String,
-    /// The measured call.
-    pub what: &'static str,
-    /// CPU time of one thread; for several targets, the total.
-    pub times: Times,
-    /// Median, as a multiple of the first row with the same varied quantity.
-    pub ratio: f64,
+/// Rows, and the medians by what was varied and called.
+#[derive(Default)]
+struct Table {
+    rows: Vec<Value>,
+    medians_ms: Vec<(&'static str, &'static str, f64)>,
 }
-
-impl ScalingRow {
-    /// As saved.
-    pub fn to_json(&self) -> Value {
-        json!({
-            "varied": self.varied,
-            "value": self.value,
-            "what": self.what,
-            "times": self.times.to_json(),
-            "ratio_to_first": self.ratio,
-        })
-    }
-}
-
-struct Table(Vec<ScalingRow>);
 
 impl Table {
     fn add(&mut self, varied: &'static str, value: String, what: &'static str, times: Times) {
-        let first = self.0.iter().find(|row| (row.varied, row.what) == (varied, what));
-        let ratio = times.median_ms / first.map_or(times.median_ms, |row| row.times.median_ms);
-        self.0.push(ScalingRow { varied, value, what, times, ratio });
+        let first = self.medians_ms.iter().find(|row| (row.0, row.1) == (varied, what));
+        let ratio = times.median_ms / first.map_or(times.median_ms, |row| row.2);
+        self.medians_ms.push((varied, what, times.median_ms));
+        self.rows.push(json!({
+            "varied": varied, "value": value, "what": what, "times": times.to_json(), "ratio_to_first": ratio,
+        }));
     }
 }
 
@@ -67,8 +46,8 @@ const COLD: &str = "cold start";
 ///
 /// # Errors
 /// If simulator, estimator or tracker rejects the setup, or a target is lost.
-pub fn scaling(rounds: usize) -> anyhow::Result<Vec<ScalingRow>> {
-    let mut table = Table(Vec::new());
+pub fn scaling(rounds: usize) -> anyhow::Result<Vec<Value>> {
+    let mut table = Table::default();
     let mut clip = targets_on_wall(SIZE, 8)?;
     clip.regions.push(square(SIZE, (430, 240), 160));
     for points in POINTS_TRIED {
@@ -89,7 +68,7 @@ pub fn scaling(rounds: usize) -> anyhow::Result<Vec<ScalingRow>> {
         table.add("images", name.clone(), FRAME, frames(&clip, &[0], POINTS, rounds)?);
         table.add("images", name, COLD, cold_starts(&clip, &[0], rounds)?);
     }
-    Ok(table.0)
+    Ok(table.rows)
 }
 
 /// The wall with up to eight targets on it, which are visible in both images.
@@ -103,18 +82,9 @@ fn targets_on_wall(size: ImageSize, count: usize) -> anyhow::Result<Clip> {
 /// Frames in which all `targets` are tracked in sequence.
 fn frames(clip: &Clip, targets: &[usize], points: usize, rounds: usize) -> anyhow::Result<Times> {
     let followers = targets.iter().map(|index| Follower::start(clip, *index, points, Kernels::best()));
-    let mut followers = followers.collect::<anyhow::Result<Vec<_>>>()?;
-    let mut samples = Vec::with_capacity(rounds);
-    for frame in 0..WARM_UP + rounds {
-        let mut sum = 0.0;
-        for follower in &mut followers {
-            sum += follower.follow(clip)?;
-        }
-        if frame >= WARM_UP {
-            samples.push(sum);
-        }
-    }
-    Times::of(&samples).context("no frame was counted")
+    let samples = follow_in_turn(&mut followers.collect::<anyhow::Result<Vec<_>>>()?, clip, rounds)?;
+    let sums: Vec<f64> = (0..rounds).map(|frame| samples.iter().map(|samples| samples[frame]).sum()).collect();
+    Times::of(&sums).context("no frame was counted")
 }
 
 fn cold_starts(clip: &Clip, targets: &[usize], rounds: usize) -> anyhow::Result<Times> {
@@ -131,8 +101,8 @@ fn cold_starts(clip: &Clip, targets: &[usize], rounds: usize) -> anyhow::Result<
 /// One target per thread, in parallel: time per frame and thread.
 fn on_threads(clip: &Clip, threads: usize, rounds: usize) -> anyhow::Result<Times> {
     let one = |target: usize| -> anyhow::Result<Vec<f64>> {
-        let mut follower = Follower::start(clip, target, POINTS, Kernels::best())?;
-        (0..WARM_UP + rounds).map(|_| follower.follow(clip)).skip(WARM_UP).collect()
+        let follower = Follower::start(clip, target, POINTS, Kernels::best())?;
+        Ok(follow_in_turn(&mut [follower], clip, rounds)?.concat())
     };
     let samples = std::thread::scope(|scope| {
         let running: Vec<_> = (0..threads).map(|target| scope.spawn(move || one(target))).collect();
@@ -149,11 +119,14 @@ mod tests {
     #[test]
     fn ratios_are_to_the_first_row_of_a_kind() {
         let times = |ms: f64| Times::of(&[ms]).expect("not empty");
-        let mut table = Table(Vec::new());
+        let mut table = Table::default();
         table.add("targets", "1".into(), FRAME, times(2.0));
         table.add("targets", "1".into(), COLD, times(5.0));
         table.add("targets", "2".into(), FRAME, times(3.0));
         table.add("points", "250".into(), FRAME, times(1.0));
-        assert_eq!(table.0.iter().map(|row| row.ratio).collect::<Vec<_>>(), [1.0, 1.0, 1.5, 1.0]);
+        assert_eq!(
+            table.rows.iter().filter_map(|row| row["ratio_to_first"].as_f64()).collect::<Vec<_>>(),
+            [1.0, 1.0, 1.5, 1.0]
+        );
     }
 }

@@ -19,6 +19,7 @@ use pb3dp_estimation_direct::search::PlaneSearch;
 use pb3dp_estimation_direct::search::aggregate::Aggregation;
 use pb3dp_estimation_direct::search::volume::{CostVolume, LevelBox};
 use pb3dp_geometry::StereoRig;
+use serde_json::Value;
 
 use super::times::Times;
 use pb3dp_hal_platform::cpu_time::timed;
@@ -61,6 +62,10 @@ impl Stage {
     /// All stages, in order.
     pub const ALL: [Self; 7] =
         [Self::Windows, Self::Costs, Self::Aggregation, Self::Search, Self::Patches, Self::Refinement, Self::Whole];
+
+    /// All but the whole.
+    pub const PARTS: [Self; 6] =
+        [Self::Windows, Self::Costs, Self::Aggregation, Self::Search, Self::Patches, Self::Refinement];
 
     /// Name in tables.
     pub fn name(self) -> &'static str {
@@ -243,6 +248,12 @@ impl<'a> StageBench<'a> {
     pub fn times(&self, stage: Stage) -> Option<Times> {
         let index = Stage::ALL.iter().position(|other| *other == stage)?;
         Times::of(&self.samples_ms[index])
+    }
+
+    /// Times of all parts.
+    pub fn to_json(&self) -> Value {
+        let part = |stage: &Stage| Some((stage.name().to_owned(), self.times(*stage)?.to_json()));
+        Value::Object(Stage::PARTS.iter().filter_map(part).collect())
     }
 }
 

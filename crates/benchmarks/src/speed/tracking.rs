@@ -10,7 +10,7 @@ use pb3dp_estimation_track::{DirectTracker, DirectTrackerConfig};
 use serde_json::{Value, json};
 
 use super::clips::{Clip, SEARCH, crab, empty_place};
-use super::cold::{KernelRow, SIZE, kernel_row};
+use super::cold::{SIZE, kernel_row};
 use super::times::Times;
 use pb3dp_hal_platform::cpu_time::timed;
 
@@ -22,28 +22,6 @@ const FRAMES: usize = 45;
 const FRAMES_EMPTY: usize = 4;
 /// Warm-up frames.
 const WARM_UP: usize = 10;
-
-/// Times of a tracker.
-pub struct TrackingRow {
-    /// Frames in which the target was tracked.
-    pub followed: Times,
-    /// Frames in which the target was lost: all stored views are searched.
-    pub lost: Times,
-    /// The first frame: cold start and model.
-    pub start_ms: f64,
-}
-
-impl TrackingRow {
-    /// As saved.
-    pub fn to_json(&self) -> Value {
-        json!({
-            "points": POINTS,
-            "followed": self.followed.to_json(),
-            "lost": self.lost.to_json(),
-            "start_ms": self.start_ms,
-        })
-    }
-}
 
 /// A tracker running on a clip.
 pub struct Follower {
@@ -96,56 +74,60 @@ impl Follower {
     }
 }
 
-/// Tracks the moving crab, then searches for it in images without the crab.
+/// Times of the frames of several trackers in turn, so that other load affects all of them alike.
+///
+/// # Errors
+/// If a target was lost.
+pub fn follow_in_turn(followers: &mut [Follower], clip: &Clip, rounds: usize) -> anyhow::Result<Vec<Vec<f64>>> {
+    let mut samples = vec![Vec::with_capacity(rounds); followers.len()];
+    for frame in 0..WARM_UP + rounds {
+        for (follower, samples) in followers.iter_mut().zip(&mut samples) {
+            let ms = follower.follow(clip)?;
+            if frame >= WARM_UP {
+                samples.push(ms);
+            }
+        }
+    }
+    Ok(samples)
+}
+
+/// Tracks the moving crab, then searches all stored views for it in images without the crab; also the time of the first frame, with cold
+/// start and model.
 ///
 /// # Errors
 /// If simulator or tracker rejects the setup, or the target is lost.
-pub fn tracking(rounds: usize) -> anyhow::Result<TrackingRow> {
+pub fn tracking(rounds: usize) -> anyhow::Result<Value> {
     let clip = crab(SIZE, FRAMES)?;
     let (follower, start_ms) = timed(|| Follower::start(&clip, 0, POINTS, Kernels::best()));
-    let mut follower = follower?;
-    let mut followed = Vec::with_capacity(rounds);
-    for frame in 0..WARM_UP + rounds {
-        let ms = follower.follow(&clip)?;
-        if frame >= WARM_UP {
-            followed.push(ms);
-        }
-    }
+    let mut followers = [follower?];
+    let followed = follow_in_turn(&mut followers, &clip, rounds)?.concat();
     let empty = empty_place(SIZE, FRAMES_EMPTY)?;
     let mut lost = Vec::new();
     for frame in 0..WARM_UP + rounds / 4 {
-        let (status, ms) = follower.step(&empty)?;
+        let (status, ms) = followers[0].step(&empty)?;
         if frame >= WARM_UP && status == Status::Lost {
             lost.push(ms);
         }
     }
     let times = Times::of(&followed).zip(Times::of(&lost));
     let (followed, lost) = times.context("the tracker never tracked the target, or never lost the absent target")?;
-    Ok(TrackingRow { followed, lost, start_ms })
+    Ok(json!({ "points": POINTS, "followed": followed.to_json(), "lost": lost.to_json(), "start_ms": start_ms }))
 }
 
 /// A tracking frame with every available family of kernels.
 ///
 /// # Errors
 /// Those of [`tracking`].
-pub fn kernels(rounds: usize) -> anyhow::Result<KernelRow> {
+pub fn kernels(rounds: usize) -> anyhow::Result<Value> {
     let clip = crab(SIZE, FRAMES)?;
     let families: Vec<Kernels> = Kernels::available().collect();
     let followers = families.iter().map(|kernels| Follower::start(&clip, 0, POINTS, *kernels));
-    let mut followers = followers.collect::<anyhow::Result<Vec<_>>>()?;
-    let mut samples = vec![Vec::with_capacity(rounds); followers.len()];
-    for frame in 0..WARM_UP + rounds {
-        for (follower, samples) in followers.iter_mut().zip(&mut samples) {
-            let ms = follower.follow(&clip)?;
-            if frame >= WARM_UP {
-                samples.push(ms);
-            }
-        }
-    }
-    let medians = samples.iter().map(|samples| Times::of(samples).map(|times| times.median_ms));
-    let medians = medians.collect::<Option<Vec<f64>>>().context("no frame was counted")?;
-    let ns = medians.iter().map(|ms| ms * 1e6 / POINTS as f64);
-    Ok(kernel_row("tracking frame", "point of the model", families.iter().map(|kernels| kernels.set()).zip(ns)))
+    let samples = follow_in_turn(&mut followers.collect::<anyhow::Result<Vec<_>>>()?, &clip, rounds)?;
+    let ns = families.iter().zip(&samples).map(|(kernels, samples)| {
+        let times = Times::of(samples).context("no frame was counted")?;
+        Ok((kernels.set(), times.median_ms * 1e6 / POINTS as f64))
+    });
+    Ok(kernel_row("tracking frame", "point of the model", ns.collect::<anyhow::Result<Vec<_>>>()?))
 }
 
 #[cfg(test)]
@@ -155,7 +137,7 @@ mod tests {
     #[test]
     fn the_crab_is_followed_and_missed_where_it_is_not() {
         let row = tracking(20).expect("measures");
-        assert_eq!((row.followed.count, row.lost.count), (20, 5));
-        assert!(row.start_ms > 0.0 && row.followed.min_ms > 0.0);
+        assert_eq!((&row["followed"]["count"], &row["lost"]["count"]), (&20.into(), &5.into()));
+        assert!(row["start_ms"].as_f64() > Some(0.0) && row["followed"]["min_ms"].as_f64() > Some(0.0));
     }
 }

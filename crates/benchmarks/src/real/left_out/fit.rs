@@ -2,8 +2,6 @@
 
 use std::collections::BTreeSet;
 
-use pb3dp_record::metrics::Group;
-
 use super::outcomes::{Measurements, Outcome, Setting};
 
 /// A scene that is left out, and the constants fitted without it.
@@ -19,7 +17,7 @@ pub struct Fitted {
     /// Outcomes with the present values.
     pub present: Vec<Outcome>,
     /// Outcomes with the values fitted on all cases, these included.
-    pub seen: Vec<Outcome>,
+    pub fitted_on: Vec<Outcome>,
     /// Outcome of each case with the values fitted without its scene.
     pub unseen: Vec<Outcome>,
     /// What the fit on all cases changed.
@@ -39,44 +37,24 @@ impl Fold {
     }
 }
 
-/// A wrong `ok` costs this many missed passes.
-const WRONG_OK_LOSS: f64 = 5.0;
-/// A correct plane that is not `ok` is of less use.
-const UNSURE_LOSS: f64 = 0.2;
 /// Every changed constant must pay for itself by this many passes: Akaike's criterion for one parameter.
 const CHANGE_LOSS: f64 = 1.0;
 
-fn loss(outcome: &Outcome) -> f64 {
-    if outcome.wrong_ok {
-        WRONG_OK_LOSS
-    } else if !outcome.passed {
-        1.0
-    } else if !outcome.ok {
-        UNSURE_LOSS
-    } else {
-        0.0
-    }
-}
-
 /// Greedy descent: at most `changes` times, the change of one constant that lowers the loss most, from the present values on.
-/// `scenes` and `groups` are those of the cases.
+/// `scenes` are those of the cases.
 ///
 /// # Errors
 /// A case that cannot be loaded.
-pub fn fit(measured: &mut Measurements, scenes: &[&str], groups: &[Group], changes: usize) -> anyhow::Result<Fitted> {
+pub fn fit(measured: &mut Measurements, scenes: &[&str], changes: usize) -> anyhow::Result<Fitted> {
     let names: BTreeSet<&str> = scenes.iter().copied().collect();
     // The fit on all cases has no scene of its own.
     let mut left_out: Vec<Option<&str>> = vec![None];
     left_out.extend(names.iter().copied().map(Some));
     let mut settings: Vec<Setting> = vec![Setting::new(); left_out.len()];
     measured.measure(&[Setting::new()])?;
-    // Non-planar regions are judged by their disparities, not by a plane.
     let training = |without: Option<&str>, outcomes: &[Outcome]| -> f64 {
-        let cases = scenes.iter().zip(groups).zip(outcomes);
-        cases
-            .filter(|((scene, group), _)| Some(**scene) != without && **group != Group::NonPlanar)
-            .map(|(_, o)| loss(o))
-            .sum()
+        let cases = scenes.iter().zip(outcomes).filter(|(scene, _)| Some(**scene) != without);
+        cases.map(|(_, outcome)| outcome.loss).sum()
     };
     for round in 0..changes {
         let bases: BTreeSet<Setting> = settings.iter().filter(|setting| setting.len() == round).cloned().collect();
@@ -107,7 +85,7 @@ pub fn fit(measured: &mut Measurements, scenes: &[&str], groups: &[Group], chang
     };
     Ok(Fitted {
         present: of(&Setting::new()),
-        seen: of(&settings[0]),
+        fitted_on: of(&settings[0]),
         unseen: scenes.iter().enumerate().map(unseen).collect(),
         setting: settings[0].clone(),
         folds: left_out
@@ -127,14 +105,5 @@ mod tests {
         let names = ["bb201", "delivery_area_1l", "MotorcycleE", "Motorcycle", "zed2_01", "Art", "Rocks1"];
         let expected = ["bb", "delivery_area", "Motorcycle", "Motorcycle", "zed", "Art", "Rocks"];
         assert_eq!(names.map(Fold::name_of), expected);
-    }
-
-    #[test]
-    fn a_wrong_answer_that_is_sure_costs_most() {
-        let passed = Outcome { answered: true, passed: true, ok: true, ..Outcome::default() };
-        let unsure = Outcome { ok: false, ..passed };
-        let wrong = Outcome { passed: false, wrong_ok: true, ..passed };
-        let losses = [passed, unsure, Outcome::default(), wrong].map(|outcome| loss(&outcome));
-        assert!(losses.windows(2).all(|pair| pair[0] < pair[1]), "{losses:?}");
     }
 }

@@ -2,72 +2,54 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 use std::thread;
 
 use anyhow::Context;
+use pb3dp_benchmarks::parallel::in_parallel;
 use pb3dp_estimation::rig_watch::RigWatch;
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod};
 use pb3dp_estimation_core::status::Status;
 use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
 
-use super::constants::Constant;
+use super::constants::{Constant, set};
 use crate::real::cases::{self, Prepared};
 use crate::real::ours::answer_of;
-use crate::real::score::{Answer, CaseFacts, Grade};
+use crate::real::score::{Answer, CaseFacts, Entry, Grade, Maker};
 
 /// Changed constants: index and index of the value tried; sorted.
 pub type Setting = Vec<(usize, usize)>;
 
 /// What became of a case.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outcome {
-    /// There is a plane.
-    pub answered: bool,
-    /// It passes.
-    pub passed: bool,
-    /// The status is `ok`.
-    pub ok: bool,
-    /// The status is `ok`, but the plane is off by more than 3 standard deviations and by more than 5 degrees or 1 % of the
-    /// depth.
-    pub wrong_ok: bool,
-    /// The depth is within two standard deviations; `None` without one.
-    pub depth_covered: Option<bool>,
-    /// The same for the normal.
-    pub normal_covered: Option<bool>,
-    /// Share of the true disparities within 1 px of the plane.
-    pub within_1px: Option<f64>,
-    /// The plane compared with the truth.
-    pub answer: Option<Answer>,
+    status: Status,
+    answer: Option<Answer>,
+    /// What it costs, see [`loss`].
+    pub loss: f64,
 }
 
-/// An answer is wrong if it is off by more than three standard deviations, the truth's included, and by more than 1 % of the
-/// depth or 5 degrees.
-const WRONG_SIGMAS: f64 = 3.0;
-const WRONG_Z_RATIO: f64 = 0.01;
-const WRONG_NORMAL_DEG: f64 = 5.0;
-const COVERED_SIGMAS: f64 = 2.0;
-
 impl Outcome {
-    fn of(facts: &CaseFacts, status: Status, answer: Option<Answer>) -> Self {
-        let Some(found) = answer else { return Self::default() };
-        let z_sigmas = found.z_sigma_m.map(|own| found.z_m.abs() / own.hypot(facts.sigma.z_m));
-        let normal_sigmas = found.normal_sigma_rad.map(|own| found.normal_rad / own.hypot(facts.sigma.normal_rad));
-        let beyond = |sigmas: Option<f64>| sigmas.is_none_or(|sigmas| sigmas > WRONG_SIGMAS);
-        let z_is_wrong = found.z_m.abs() > WRONG_Z_RATIO * facts.z_m && beyond(z_sigmas);
-        let normal_is_wrong =
-            facts.is_planar() && found.normal_rad.to_degrees() > WRONG_NORMAL_DEG && beyond(normal_sigmas);
-        let ok = status == Status::Ok;
-        let covered = |sigmas: Option<f64>| sigmas.map(|sigmas| sigmas <= COVERED_SIGMAS);
-        Self {
-            answered: true,
-            passed: facts.grade(found.z_m, found.normal_rad) == Grade::Pass,
-            ok,
-            wrong_ok: ok && (z_is_wrong || normal_is_wrong),
-            depth_covered: covered(z_sigmas),
-            normal_covered: covered(normal_sigmas).filter(|_| facts.is_planar()),
-            within_1px: found.map.map(|(_, share)| share),
-            answer,
-        }
+    /// As a result of these values of the constants.
+    pub fn entry(&self, facts: &Rc<CaseFacts>, values: &str) -> Entry {
+        let status = Some(self.status.as_str());
+        Entry { status, answer: self.answer, ..Entry::new(facts, values, Maker::Ours) }
+    }
+}
+
+/// A wrong `ok` costs this many missed passes.
+const WRONG_OK_LOSS: f64 = 5.0;
+/// A correct plane that is not `ok` is of less use.
+const UNSURE_LOSS: f64 = 0.2;
+
+/// What a result costs; non-planar regions, which are judged by their disparities and not by a plane, cost nothing.
+fn loss(entry: &Entry) -> f64 {
+    match () {
+        () if !entry.case.is_planar() => 0.0,
+        () if entry.is_wrong_ok() => WRONG_OK_LOSS,
+        () if entry.grade() != Some(Grade::Pass) => 1.0,
+        () if !entry.is_ok() => UNSURE_LOSS,
+        () => 0.0,
     }
 }
 
@@ -119,22 +101,8 @@ impl Measurements {
         }
         let configs: Vec<DirectConfig> = missing.iter().map(|setting| self.config(setting)).collect();
         let threads = thread::available_parallelism().map_or(1, usize::from);
-        let per_thread = self.folders.len().div_ceil(threads);
-        let (folders, configs) = (&self.folders, &configs);
-        let parts: Vec<anyhow::Result<Vec<Vec<Outcome>>>> = thread::scope(|scope| {
-            let started: Vec<_> = folders
-                .chunks(per_thread)
-                .map(|part| scope.spawn(move || part.iter().map(|folder| of_case(folder, configs)).collect()))
-                .collect();
-            started
-                .into_iter()
-                .map(|part| part.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
-                .collect()
-        });
-        let mut cases = Vec::new();
-        for part in parts {
-            cases.extend(part?);
-        }
+        let work = |_: &mut (), index: usize| of_case(&self.folders[index], &configs);
+        let cases = in_parallel(self.folders.len(), threads, || Ok(()), work)?;
         for (index, setting) in missing.into_iter().enumerate() {
             self.known.insert(setting, cases.iter().map(|outcomes| outcomes[index]).collect());
         }
@@ -144,8 +112,7 @@ impl Measurements {
     fn config(&self, setting: &Setting) -> DirectConfig {
         let mut config = DirectConfig::default();
         for &(constant, value) in setting {
-            let constant = &self.constants[constant];
-            constant.set(&mut config, constant.tried[value]);
+            set(&mut config, constant, self.constants[constant].tried[value]);
         }
         config
     }
@@ -171,5 +138,26 @@ fn of_case(folder: &Path, configs: &[DirectConfig]) -> anyhow::Result<Vec<Outcom
 fn answer(case: &Prepared, estimator: &mut DirectEstimator) -> anyhow::Result<Outcome> {
     let mut request = EstimateRequest::of_target(&case.images.left, &case.images.right, &case.region, &case.range);
     let estimate = estimator.answer(&mut request)?;
-    Ok(Outcome::of(&case.facts, estimate.status, answer_of(case, &estimate)))
+    let mut outcome = Outcome { status: estimate.status, answer: answer_of(case, &estimate), loss: 0.0 };
+    outcome.loss = loss(&outcome.entry(&case.facts, ""));
+    Ok(outcome)
+}
+
+#[cfg(test)]
+mod tests {
+    use pb3dp_record::metrics::Group;
+
+    use super::*;
+    use crate::real::score::tests::{answer, case, entry};
+
+    #[test]
+    fn a_wrong_answer_that_is_sure_costs_most() {
+        let known = case("a", Group::Small, (0.1, 0.1));
+        let passed = entry(&known, "m", Some(answer(1.0, 1.0)));
+        let unsure = Entry { status: Some("weak-tilt"), ..passed.clone() };
+        let wrong = entry(&known, "m", Some(answer(50.0, 1.0)));
+        let losses = [passed, unsure, entry(&known, "m", None), wrong].map(|entry| loss(&entry));
+        assert_eq!(losses, [0.0, UNSURE_LOSS, 1.0, WRONG_OK_LOSS]);
+        assert_eq!(loss(&entry(&case("b", Group::NonPlanar, (0.1, 0.1)), "m", None)), 0.0);
+    }
 }

@@ -24,7 +24,7 @@ pub struct Circumstances {
 impl Circumstances {
     /// The circumstances of this machine and of the workspace at `root`.
     pub fn of(root: &Path) -> Self {
-        let told = |program: &str, args: &[&str]| {
+        let output_of = |program: &str, args: &[&str]| {
             let output = Command::new(program).args(args).current_dir(root).output().ok()?;
             let text = String::from_utf8(output.stdout).ok()?;
             output.status.success().then(|| text.trim().to_owned())
@@ -32,15 +32,21 @@ impl Circumstances {
         let unknown = || "unknown".to_owned();
         let cpuinfo = std::fs::read_to_string("/proc/cpuinfo").ok();
         Self {
-            commit: told("git", &["rev-parse", "--short=12", "HEAD"]).unwrap_or_else(unknown),
-            changed: told(
+            commit: output_of("git", &["rev-parse", "--short=12", "HEAD"]).unwrap_or_else(unknown),
+            changed: output_of(
                 "git",
                 &["status", "--porcelain", "--untracked-files=all", "--", ".", WRITTEN[0], WRITTEN[1]],
             )
             .is_some_and(|changes| !changes.is_empty()),
             processor: cpuinfo.as_deref().and_then(processor_name).unwrap_or_else(unknown),
-            compiler: told("rustc", &["--version"]).unwrap_or_else(unknown),
+            compiler: output_of("rustc", &["--version"]).unwrap_or_else(unknown),
         }
+    }
+
+    /// As a line of a page.
+    pub fn line(&self) -> String {
+        let changed = if self.changed { ", with uncommitted changes" } else { "" };
+        format!("Commit {}{changed}; {}; {}.", self.commit, self.processor, self.compiler)
     }
 
     /// As saved with the figures.
@@ -52,6 +58,18 @@ impl Circumstances {
             "compiler": self.compiler,
         })
     }
+}
+
+/// # Errors
+/// If this is not the root folder of the workspace.
+pub fn check_root(root: &Path) -> anyhow::Result<()> {
+    let is_root = root.join("Cargo.toml").is_file();
+    anyhow::ensure!(
+        is_root,
+        "--root {} is not the workspace (no Cargo.toml): give the root folder of the clone",
+        root.display()
+    );
+    Ok(())
 }
 
 fn processor_name(cpuinfo: &str) -> Option<String> {

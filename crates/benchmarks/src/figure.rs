@@ -1,14 +1,15 @@
-//! Figures as standalone SVG files that adapt to light and dark pages.
+//! Figures as standalone SVG files that adapt to light and dark pages: lines in panels, and bars.
 
 use std::fmt::Write as _;
 
 /// A named line.
+#[derive(Clone, Debug)]
 pub struct Line {
     /// Its name.
     pub name: String,
     /// Its points; points that are not finite, or not positive on a logarithmic axis, are omitted.
     pub points: Vec<[f64; 2]>,
-    /// Whether the line is dashed and grey: the bound.
+    /// Whether the line is dashed and grey: a bound.
     pub is_bound: bool,
 }
 
@@ -22,6 +23,7 @@ pub enum AxisKind {
 }
 
 /// One panel.
+#[derive(Clone, Debug)]
 pub struct Panel {
     /// Heading.
     pub title: String,
@@ -31,6 +33,24 @@ pub struct Panel {
     pub axes: [AxisKind; 2],
     /// Its lines.
     pub lines: Vec<Line>,
+}
+
+/// One bar, of parts one after the other.
+pub struct Bar {
+    /// Its name.
+    pub name: String,
+    /// Number of the colour, and length, of each part.
+    pub parts: Vec<(usize, f64)>,
+    /// The text behind it.
+    pub text: String,
+}
+
+/// Bars below a heading.
+pub struct BarGroup {
+    /// The heading.
+    pub heading: String,
+    /// The bars.
+    pub bars: Vec<Bar>,
 }
 
 const WIDTH: f64 = 300.0;
@@ -43,25 +63,23 @@ const RIGHT: f64 = 16.0;
 const CAPTION: f64 = 16.0;
 /// Lines with more points than this have no dots.
 const DOTS_MAX: usize = 40;
+/// Length of the longest bar, space for its name, and height of a bar.
+const BAR_LENGTH: f64 = 420.0;
+const BAR_NAME: f64 = 190.0;
+const BAR_HEIGHT: f64 = 13.0;
 
 const STYLE: &str = "text { font: 11px sans-serif; fill: #5b6470; } .head { font-weight: bold; fill: #1c1f24; } \
     .grid { stroke: #e3e6ea; } .line { fill: none; stroke: currentColor; stroke-width: 1.8; } .paper { fill: #ffffff; } \
     .dot { fill: currentColor; } .dashed { stroke-dasharray: 5 3; } .c0 { color: #d1242f; } .c1 { color: #0b62c4; } \
-    .c2 { color: #1a7f37; } .c3 { color: #b35900; } .cb { color: #6b7480; } \
+    .c2 { color: #1a7f37; } .c3 { color: #b35900; } .c4 { color: #a3abb6; } .cb { color: #6b7480; } \
     @media (prefers-color-scheme: dark) { text { fill: #a3abb6; } .head { fill: #e8eaed; } .grid { stroke: #2b313a; } \
-    .paper { fill: #15181d; } .c0 { color: #ff6b6b; } .c1 { color: #6cb0ff; } .c2 { color: #58c97b; } .c3 { color: #ffa84d; } }";
+    .paper { fill: #15181d; } .c0 { color: #ff6b6b; } .c1 { color: #6cb0ff; } .c2 { color: #58c97b; } .c3 { color: #ffa84d; } \
+    .c4 { color: #68707c; } }";
 
-/// Panels in rows of `columns`.
-pub fn svg(panels: &[Panel], columns: usize) -> String {
-    svg_with_caption(panels, columns, &[])
-}
-
-/// Panels with lines of text below.
-pub fn svg_with_caption(panels: &[Panel], columns: usize, caption: &[String]) -> String {
+/// Panels in rows of `columns`, with lines of text below.
+pub fn panels(panels: &[Panel], columns: usize, caption: &[String]) -> String {
     let (cell_width, cell_height) = (LEFT + WIDTH + RIGHT, TOP + HEIGHT + BOTTOM);
-    let rows = panels.len().div_ceil(columns);
-    let width = cell_width * columns as f64;
-    let below = cell_height * rows as f64;
+    let below = cell_height * panels.len().div_ceil(columns) as f64;
     let height = below + if caption.is_empty() { 0.0 } else { CAPTION * (caption.len() as f64 + 0.5) };
     let mut body = String::new();
     for (index, panel) in panels.iter().enumerate() {
@@ -70,17 +88,55 @@ pub fn svg_with_caption(panels: &[Panel], columns: usize, caption: &[String]) ->
         let _ = write!(body, "<g transform=\"translate({x} {y})\">{}</g>", draw(panel));
     }
     for (index, line) in caption.iter().enumerate() {
-        let base = below + CAPTION * (index as f64 + 0.8);
-        let _ = write!(body, "<text x=\"12\" y=\"{base:.1}\">{}</text>", escaped(line));
+        body.push_str(&text_at(12.0, below + CAPTION * (index as f64 + 0.8), line, ""));
     }
+    file([cell_width * columns as f64, height], &body)
+}
+
+/// Bars whose longest is `longest`, or as long as the longest of them, with the names of the colours on top.
+pub fn bars(legend: &[&str], groups: &[BarGroup], longest: Option<f64>) -> String {
+    let lengths =
+        groups.iter().flat_map(|group| &group.bars).map(|bar| bar.parts.iter().map(|(_, length)| length).sum());
+    let scale = BAR_LENGTH / longest.unwrap_or_else(|| lengths.fold(f64::MIN_POSITIVE, f64::max));
+    let rect = |[x, y, width]: [f64; 3], colour: usize| {
+        format!(
+            "<rect class=\"dot c{colour}\" x=\"{x:.1}\" y=\"{y:.1}\" width=\"{width:.1}\" height=\"{BAR_HEIGHT}\"/>"
+        )
+    };
+    let (mut body, mut x) = (String::new(), 8.0);
+    for (colour, name) in legend.iter().enumerate() {
+        body += &(rect([x, 8.0, BAR_HEIGHT], colour) + &text_at(x + 18.0, 19.0, name, ""));
+        x += 40.0 + 6.5 * name.len() as f64;
+    }
+    let mut y = 34.0;
+    for group in groups {
+        body.push_str(&text_at(8.0, y + 11.0, &group.heading, " class=\"head\""));
+        y += 18.0;
+        for bar in &group.bars {
+            let mut end = BAR_NAME;
+            body.push_str(&text_at(BAR_NAME - 6.0, y + 11.0, &bar.name, " text-anchor=\"end\""));
+            for (colour, length) in &bar.parts {
+                body.push_str(&rect([end, y, length * scale], *colour));
+                end += length * scale;
+            }
+            body.push_str(&text_at(end + 4.0, y + 11.0, &bar.text, ""));
+            y += BAR_HEIGHT + 3.0;
+        }
+        y += 12.0;
+    }
+    file([BAR_NAME + BAR_LENGTH + 110.0, y], &body)
+}
+
+fn file([width, height]: [f64; 2], body: &str) -> String {
     format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" role=\"img\"><style>{STYLE}</style>\
          <rect class=\"paper\" width=\"{width}\" height=\"{height}\"/>{body}</svg>\n"
     )
 }
 
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;")
+fn text_at(x: f64, y: f64, text: &str, attributes: &str) -> String {
+    let text = text.replace('&', "&amp;").replace('<', "&lt;");
+    format!("<text x=\"{x:.1}\" y=\"{y:.1}\"{attributes}>{text}</text>")
 }
 
 /// Range of an axis.
@@ -146,7 +202,7 @@ fn draw(panel: &Panel) -> String {
     let points: Vec<&[f64; 2]> = panel.lines.iter().flat_map(|line| line.points.iter().filter(shown)).collect();
     let [x, y] = [0, 1].map(|i| Axis::of(panel.axes[i], points.iter().map(|p| p[i])));
     let place = |point: &[f64; 2]| (LEFT + WIDTH * x.share(point[0]), TOP + HEIGHT * (1.0 - y.share(point[1])));
-    let mut svg = format!("<text x=\"{LEFT}\" y=\"16\" class=\"head\">{}</text>", panel.title);
+    let mut svg = text_at(LEFT, 16.0, &panel.title, " class=\"head\"");
     for tick in x.ticks() {
         let (at, _) = place(&[tick, y.low]);
         let (bottom, below) = (TOP + HEIGHT, TOP + HEIGHT + 14.0);
@@ -160,7 +216,7 @@ fn draw(panel: &Panel) -> String {
         let _ = write!(svg, "<text x=\"{}\" y=\"{base:.1}\" text-anchor=\"end\">{}</text>", LEFT - 6.0, label(tick));
     }
     let (middle, base) = (LEFT + WIDTH / 2.0, TOP + HEIGHT + 32.0);
-    let _ = write!(svg, "<text x=\"{middle}\" y=\"{base}\" text-anchor=\"middle\">{}</text>", panel.x);
+    svg.push_str(&text_at(middle, base, &panel.x, " text-anchor=\"middle\""));
     for (index, line) in panel.lines.iter().enumerate() {
         let class = if line.is_bound { "cb".to_owned() } else { format!("c{}", index % 4) };
         let dashed = if line.is_bound { " dashed" } else { "" };
@@ -174,7 +230,7 @@ fn draw(panel: &Panel) -> String {
         for (u, v) in places.iter().filter(|_| !line.is_bound && line.points.len() <= DOTS_MAX) {
             let _ = write!(svg, "<circle class=\"dot\" cx=\"{u:.1}\" cy=\"{v:.1}\" r=\"2.6\"/>");
         }
-        let _ = write!(svg, "</g><text x=\"{}\" y=\"38\">{}</text>", key + 22.0, line.name);
+        let _ = write!(svg, "</g>{}", text_at(key + 22.0, 38.0, &line.name, ""));
     }
     svg
 }
@@ -183,41 +239,36 @@ fn draw(panel: &Panel) -> String {
 mod tests {
     use super::*;
 
+    fn panel(axes: [AxisKind; 2], points: Vec<[f64; 2]>) -> Panel {
+        let line = Line { name: "a < b".into(), points, is_bound: false };
+        Panel { title: "t".into(), x: "px".into(), axes, lines: vec![line] }
+    }
+
     #[test]
-    fn points_stand_where_logarithms_put_them_and_gaps_are_left_out() {
-        let points = vec![[1.0, 1.0], [3.0, f64::NAN], [10.0, 10.0], [100.0, 100.0]];
-        let line = Line { name: "direct".into(), points, is_bound: false };
-        let svg = svg(
-            &[Panel { title: "t".into(), x: "noise".into(), axes: [AxisKind::Logarithmic; 2], lines: vec![line] }],
-            1,
-        );
-        // The middle of both axes.
-        let (x, y) = (LEFT + WIDTH / 2.0, TOP + HEIGHT / 2.0);
-        assert!(svg.contains(&format!("<circle class=\"dot\" cx=\"{x:.1}\" cy=\"{y:.1}\"")), "{svg}");
-        assert_eq!(svg.matches("<circle").count(), 3);
+    fn points_are_placed_by_their_axes_and_gaps_are_left_out() {
+        let middle = format!("<circle class=\"dot\" cx=\"{:.1}\" cy=\"{:.1}\"", LEFT + WIDTH / 2.0, TOP + HEIGHT / 2.0);
+        let points = vec![[1.0, 1.0], [3.0, f64::NAN], [10.0, 10.0], [100.0, 100.0], [-1.0, 1.0]];
+        let svg = panels(&[panel([AxisKind::Logarithmic; 2], points)], 1, &[]);
+        assert!(svg.contains(&middle) && svg.matches("<circle").count() == 3, "{svg}");
         assert!(!svg.contains("NaN") && !svg.contains("inf"));
-    }
-
-    #[test]
-    fn a_panel_without_points_is_still_drawn() {
-        let line = Line { name: "none".into(), points: vec![[0.0, -1.0]], is_bound: true };
-        let svg =
-            svg(&[Panel { title: "t".into(), x: "x".into(), axes: [AxisKind::Logarithmic; 2], lines: vec![line] }], 2);
-        assert!(svg.contains(">none<") && !svg.contains("NaN"), "{svg}");
-    }
-
-    #[test]
-    fn linear_axes_hold_what_is_not_positive_and_captions_stand_below() {
         let points = vec![[-1.0, -0.5], [0.0, 0.0], [1.0, 0.5]];
-        let line = Line { name: "F".into(), points, is_bound: false };
-        let panel = Panel { title: "t".into(), x: "px".into(), axes: [AxisKind::Linear; 2], lines: vec![line] };
-        let svg = svg_with_caption(&[panel], 1, &["a < b".to_owned()]);
-        let (x, y) = (LEFT + WIDTH / 2.0, TOP + HEIGHT / 2.0);
-        assert!(svg.contains(&format!("<circle class=\"dot\" cx=\"{x:.1}\" cy=\"{y:.1}\"")), "{svg}");
-        assert!(svg.contains(">-0.5<") && svg.contains(">0<") && !svg.contains(">-0<"), "{svg}");
-        assert!(svg.contains("a &lt; b"), "{svg}");
-        let many = Line { name: "F".into(), points: (0..100).map(|i| [f64::from(i), 1.0]).collect(), is_bound: false };
-        let panel = Panel { title: "t".into(), x: "px".into(), axes: [AxisKind::Linear; 2], lines: vec![many] };
-        assert!(!super::svg(&[panel], 1).contains("<circle"));
+        let svg = panels(&[panel([AxisKind::Linear; 2], points)], 1, &["c < d".to_owned()]);
+        assert!(
+            svg.contains(&middle) && svg.contains(">-0.5<") && svg.contains(">0<") && !svg.contains(">-0<"),
+            "{svg}"
+        );
+        assert!(svg.contains("a &lt; b") && svg.contains("c &lt; d"), "{svg}");
+        let empty = panels(&[panel([AxisKind::Logarithmic; 2], vec![[0.0, -1.0]])], 2, &[]);
+        assert!(empty.contains("a &lt; b") && !empty.contains("NaN"), "{empty}");
+    }
+
+    #[test]
+    fn bars_are_as_long_as_their_parts() {
+        let bar = Bar { name: "direct".into(), parts: vec![(0, 25.0), (4, 50.0)], text: "75 %".into() };
+        let groups = [BarGroup { heading: "boards".into(), bars: vec![bar] }];
+        let svg = bars(&["ours"], &groups, Some(100.0));
+        assert!(svg.contains("c0\" x=\"190.0\" y=\"52.0\" width=\"105.0\""), "{svg}");
+        assert!(svg.contains("c4\" x=\"295.0\" y=\"52.0\" width=\"210.0\"") && svg.contains(">75 %<"), "{svg}");
+        assert!(bars(&[], &groups, None).contains("width=\"280.0\""));
     }
 }

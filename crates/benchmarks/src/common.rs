@@ -1,3 +1,0 @@
-//! Code shared by the measurements.
-
-pub mod circumstances;
