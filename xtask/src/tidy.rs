@@ -9,6 +9,7 @@ mod links;
 mod markdown;
 mod method_table;
 mod plain_words;
+mod routes;
 mod rust;
 mod summary;
 mod test_files;
@@ -32,7 +33,8 @@ const TEXT_ENDINGS: [&str; 14] = [
 /// * Tests: each file in a folder `tests` belongs to a test program.
 /// * Text: no absolute paths of one machine, no paths outside the repository, reminders only as `TODO(name, issue)`.
 /// * Markdown: one sentence per line; all links and paths exist.
-/// * docs/: every page is exactly once in the table of contents of the site, docs/SUMMARY.md.
+/// * docs/: every page is exactly once in the table of contents of the site, docs/SUMMARY.md; each file of a route in docs/routes.md
+///   exists and is linked to the next one.
 /// * configs/: every TOML file, every robot description and every file of configs/deploy parses; docs/parameters.md lists each parameter of
 ///   configs/estimator.toml with the same default.
 /// * Layout: the top level contains exactly the agreed entries; every package uses the workspace's lints, version and
@@ -57,6 +59,7 @@ pub fn run(workspace: &Workspace, _: &Args) -> anyhow::Result<()> {
     violations.extend(dependencies::check(&texts));
     violations.extend(method_table::check(&texts));
     violations.extend(summary::check(&texts));
+    violations.extend(routes::check(&texts));
     violations.extend(test_files::check(&texts));
     violations.extend(plain_words::check(workspace, &texts)?);
     violations.extend(exceptions.unused());
