@@ -8,6 +8,7 @@ mod links;
 mod markdown;
 mod method_table;
 mod plain_words;
+mod routes;
 mod rust;
 mod summary;
 mod test_files;
@@ -24,7 +25,7 @@ const TEXT_ENDINGS: [&str; 14] = [
 
 /// Checks style rules beyond rustfmt and clippy.
 ///
-/// Files, tests, Markdown with its links, configurations, manifests, words: the table of rules is in CONTRIBUTING.md. Clippy checks
+/// Files, tests, Markdown with its links, routes, configurations, manifests, words: the table of rules is in CONTRIBUTING.md. Clippy checks
 /// the length of functions, and unfinished code.
 ///
 /// Each violation is printed as `file:line: [rule] remedy`.
@@ -44,6 +45,7 @@ pub fn run(workspace: &Workspace, _: &Args) -> anyhow::Result<()> {
     violations.extend(dependencies::check(&texts));
     violations.extend(method_table::check(&texts));
     violations.extend(summary::check(&texts));
+    violations.extend(routes::check(&texts));
     violations.extend(test_files::check(&texts));
     violations.extend(plain_words::check(workspace, &texts)?);
     conclude("tidy", &format!("{} files, {} of them text", files.len(), texts.len()), violations)

@@ -1,3 +1,4 @@
+use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::plane_hypothesis::{PlaneHypothesis, SearchRange};
 
 use super::survey::{Survey, candidates};
