@@ -13,19 +13,9 @@ use pb3dp_setup::setup::Setup;
 use super::cell::SimulatedCell;
 use super::halves::Capture;
 use super::losses::Losses;
+pub use super::perception::Captured;
 use super::perception::{PoseCamera, Sight};
 use crate::perception::View;
-
-/// One frame for estimation and recording.
-#[derive(Clone, Debug)]
-pub struct Captured {
-    /// Sequence number and times.
-    pub frame: FrameInput,
-    /// True target pose at exposure; none with real cameras.
-    pub cam_left_from_target: Option<Pose<CamLeft, Target>>,
-    /// Input of the estimation method.
-    pub view: View,
-}
 
 /// A camera with its loss count.
 pub struct Capturing {

@@ -80,7 +80,7 @@ pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: O
     let kept = spectators.into_iter().map(|spectator| spectator.finish(&end));
     let how = first_failure([how, recorded].into_iter().chain(kept));
     let (steps_untrue, faults) = (journal.steps_untrue(), faults.faults());
-    let mut outcome = journal.finish(end);
+    let mut outcome = journal.finish(end.pairs_lost, end.commands);
     let replies_missed = moving.arms().replies_missed();
     if let Some(mut punctuality) = punctuality {
         punctuality.recording.dropped += steps_untrue;

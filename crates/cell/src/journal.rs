@@ -1,6 +1,8 @@
 //! The history of a run for its report: control steps together with the true poses; estimates are added in [`crate::noting`].
 
-use anyhow::Result;
+use std::path::Path;
+
+use anyhow::{Result, bail};
 use nalgebra::Vector6;
 use pb3dp_geometry::frames::{CamLeft, Hand, Model, Target, World};
 use pb3dp_geometry::{MonotonicTime, Pose};
@@ -9,16 +11,20 @@ use pb3dp_servo::supervisor::{Condition, Event, State, Why};
 use pb3dp_setup::setup::Setup;
 use pb3dp_sim::trajectory::Trajectory;
 
+use super::capturing::Captured;
 use super::cell::SimulatedCell;
 use super::channels::Plan;
-use super::compared::Onlooker;
+use super::commands::CommandSummary;
+use super::compared::{Frame, Onlooker};
 use super::drift::DriftWatch;
-use super::log::{ArmSample, ControlSample, MethodLog, RunLog};
+use super::log::{ArmSample, ControlSample, Lock, MethodLog, RunLog};
 use super::moving::Moved;
-use super::noting::PairRecords;
-use super::spectator::RunEnd;
+use super::noting::{PairEstimate, PairRecords, outline_px};
+use super::perception::{Marking, View};
+use super::recording::Recording;
 use super::strip::Strip;
 use super::supervision::TransitionNote;
+use crate::true_surface::true_model_frame;
 
 /// Interval of progress messages, seconds of the experiment.
 const PROGRESS_EVERY_S: f64 = 5.0;
@@ -210,13 +216,13 @@ impl<'a> Journal<'a> {
 
     /// The result of the run, with what is known at its end. The model pose on the target is only known after the first estimate, so the
     /// desired hand poses are filled in now.
-    pub fn finish(self, end: RunEnd) -> Outcome {
+    pub fn finish(self, pairs_lost: u64, commands: Vec<CommandSummary>) -> Outcome {
         let PairRecords { onlookers, strip, drift, .. } = self.pairs;
         let mut log = RunLog {
             compared: onlookers.into_iter().map(Onlooker::into_log).collect(),
             drift: drift.map(DriftWatch::summaries).unwrap_or_default(),
-            pairs_lost: end.pairs_lost,
-            commands: end.commands,
+            pairs_lost,
+            commands,
             ..self.log
         };
         let until_s = log.marks.first().map_or(f64::INFINITY, |mark| mark.at_s);
@@ -231,6 +237,78 @@ impl<'a> Journal<'a> {
             sample.world_from_hand_locked = sample.world_from_target * locked * model_from_hand_desired;
         }
         Outcome { log, plan: self.plan, strip }
+    }
+}
+
+impl Journal<'_> {
+    /// The same, and every pair is also written to that folder; `marking`: how the target is marked.
+    ///
+    /// # Errors
+    /// A run without images.
+    pub fn record_to(mut self, folder: &Path, marking: Marking) -> Result<Self> {
+        if !self.setup.leader.needs_images() {
+            bail!("--record: with estimator.method = {:?} there are no images to record", self.setup.leader.name());
+        }
+        self.pairs.recording = Some((Recording::new(folder, self.setup), marking));
+        Ok(self)
+    }
+
+    /// Records the estimate of a pair with its true pose; the compared methods process the pair, too.
+    ///
+    /// # Errors
+    /// If the recording cannot be written.
+    pub fn note_pair(&mut self, seen: &PairEstimate) -> Result<()> {
+        let PairEstimate { captured, region, prior, estimate, latency_millis, age_millis, .. } = seen;
+        let Captured { frame, cam_left_from_target, view } = captured;
+        let cam_left_from_plane = seen.cam_left_from_plane();
+        let t_s = frame.at.seconds_since(self.begin);
+        if region.is_some() {
+            self.log.lock = None;
+        }
+        if let (None, Some(found), Some(cam_left_from_target), Some(plane)) =
+            (&self.log.lock, &estimate.cam_left_from_model, cam_left_from_target, &cam_left_from_plane)
+        {
+            self.log.lock = true_model_frame(found, plane).map(|cam_left_from_model| Lock {
+                at_s: t_s,
+                target_from_model: cam_left_from_target.inverse() * cam_left_from_model,
+                target_from_model_found: cam_left_from_target.inverse() * *found,
+                covariance: estimate.pose_covariance,
+            });
+        }
+        let age_millis = Some(*age_millis);
+        let (region, cam_left_from_target) = (region.as_ref(), *cam_left_from_target);
+        let frame = Frame { t_s, region, prior, cam_left_from_target, cam_left_from_plane, age_millis };
+        self.log.leading.push(&frame, estimate, *latency_millis);
+        let frame = Frame { age_millis: None, ..frame };
+        let View::Images(pair) = view else { return Ok(()) };
+        let PairRecords { onlookers, strip, recording, drift } = &mut self.pairs;
+        strip.offer(t_s, pair, &self.setup.rig.stereo, estimate);
+        for onlooker in onlookers {
+            onlooker.look(pair, &frame);
+        }
+        let drifted = drift.as_mut().map(|drift| drift.look(captured.frame.at, captured.frame.skew_s, pair));
+        for line in drifted.into_iter().flatten() {
+            tracing::warn!("{line}");
+        }
+        let Some((recording, marking)) = recording else { return Ok(()) };
+        let outline_px = match (recording.is_open(), &*marking, region) {
+            (true, ..) => None,
+            // The recording begins with the first target.
+            (false, Marking::Awaited, None) => return Ok(()),
+            (false, Marking::Awaited, Some(region)) => Some(outline_px(region.clone(), estimate)),
+            (false, marking, _) => {
+                Some(outline_px(marking.region(self.setup, cam_left_from_target.as_ref())?, estimate))
+            }
+        };
+        recording.push(pair, cam_left_from_target.as_ref(), outline_px)
+    }
+
+    /// Finishes the recording, also after a failure: the recorded pairs help to find its cause.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn finish_recording(&mut self) -> Result<()> {
+        self.pairs.recording.take().map_or(Ok(()), |(recording, _)| recording.finish())
     }
 }
 

@@ -18,6 +18,7 @@ pub mod channels;
 pub mod commands;
 pub mod compared;
 pub mod console;
+mod course;
 pub mod cycles;
 pub mod devices;
 pub mod drift;

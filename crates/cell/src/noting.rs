@@ -1,8 +1,6 @@
 //! Estimates of pairs in the history of a run: those of all methods with the true poses, recordings and annotated images.
 
-use std::path::Path;
-
-use anyhow::{Result, bail};
+use anyhow::Result;
 use nalgebra::Vector2;
 use pb3dp_estimation::estimator::FramePrior;
 use pb3dp_estimation_core::error::EstimationError;
@@ -14,17 +12,13 @@ use pb3dp_servo::TargetObservation;
 use pb3dp_setup::setup::{Setup, Synchronisation};
 
 use super::capturing::Captured;
-use super::compared::{Frame, Onlooker};
+use super::compared::Onlooker;
 use super::drift::{DriftWatch, WhenCalibrated};
-use super::journal::Journal;
-use super::log::Lock;
 use super::percept::Percept;
 use super::perception::Marking;
 use super::recording::Recording;
 use super::selection::Choice;
 use super::strip::Strip;
-use crate::perception::View;
-use crate::true_surface::true_model_frame;
 
 /// What happens with each pair besides the record of the leading method.
 pub(super) struct PairRecords {
@@ -32,7 +26,7 @@ pub(super) struct PairRecords {
     /// Annotated images from moments of interest.
     pub strip: Strip,
     /// The folder to which pairs are recorded, and how the target is marked.
-    recording: Option<(Recording, Marking)>,
+    pub recording: Option<(Recording, Marking)>,
     /// Camera drift since calibration, if it is measured.
     pub drift: Option<DriftWatch>,
 }
@@ -45,78 +39,6 @@ impl PairRecords {
             return Ok(records);
         }
         Ok(Self { onlookers: Onlooker::all_of(setup)?, strip, drift: watch(setup)?, ..records })
-    }
-}
-
-impl Journal<'_> {
-    /// The same, and every pair is also written to that folder; `marking`: how the target is marked.
-    ///
-    /// # Errors
-    /// A run without images.
-    pub fn record_to(mut self, folder: &Path, marking: Marking) -> Result<Self> {
-        if !self.setup.leader.needs_images() {
-            bail!("--record: with estimator.method = {:?} there are no images to record", self.setup.leader.name());
-        }
-        self.pairs.recording = Some((Recording::new(folder, self.setup), marking));
-        Ok(self)
-    }
-
-    /// Records the estimate of a pair with its true pose; the compared methods process the pair, too.
-    ///
-    /// # Errors
-    /// If the recording cannot be written.
-    pub fn note_pair(&mut self, seen: &PairEstimate) -> Result<()> {
-        let PairEstimate { captured, region, prior, estimate, latency_millis, age_millis, .. } = seen;
-        let Captured { frame, cam_left_from_target, view } = captured;
-        let cam_left_from_plane = seen.cam_left_from_plane();
-        let t_s = frame.at.seconds_since(self.begin);
-        if region.is_some() {
-            self.log.lock = None;
-        }
-        if let (None, Some(found), Some(cam_left_from_target), Some(plane)) =
-            (&self.log.lock, &estimate.cam_left_from_model, cam_left_from_target, &cam_left_from_plane)
-        {
-            self.log.lock = true_model_frame(found, plane).map(|cam_left_from_model| Lock {
-                at_s: t_s,
-                target_from_model: cam_left_from_target.inverse() * cam_left_from_model,
-                target_from_model_found: cam_left_from_target.inverse() * *found,
-                covariance: estimate.pose_covariance,
-            });
-        }
-        let age_millis = Some(*age_millis);
-        let (region, cam_left_from_target) = (region.as_ref(), *cam_left_from_target);
-        let frame = Frame { t_s, region, prior, cam_left_from_target, cam_left_from_plane, age_millis };
-        self.log.leading.push(&frame, estimate, *latency_millis);
-        let frame = Frame { age_millis: None, ..frame };
-        let View::Images(pair) = view else { return Ok(()) };
-        let PairRecords { onlookers, strip, recording, drift } = &mut self.pairs;
-        strip.offer(t_s, pair, &self.setup.rig.stereo, estimate);
-        for onlooker in onlookers {
-            onlooker.look(pair, &frame);
-        }
-        let drifted = drift.as_mut().map(|drift| drift.look(captured.frame.at, captured.frame.skew_s, pair));
-        for line in drifted.into_iter().flatten() {
-            tracing::warn!("{line}");
-        }
-        let Some((recording, marking)) = recording else { return Ok(()) };
-        let outline_px = match (recording.is_open(), &*marking, region) {
-            (true, ..) => None,
-            // The recording begins with the first target.
-            (false, Marking::Awaited, None) => return Ok(()),
-            (false, Marking::Awaited, Some(region)) => Some(outline_px(Region::clone(region), estimate)),
-            (false, marking, _) => {
-                Some(outline_px(marking.region(self.setup, cam_left_from_target.as_ref())?, estimate))
-            }
-        };
-        recording.push(pair, cam_left_from_target.as_ref(), outline_px)
-    }
-
-    /// Finishes the recording, also after a failure: the recorded pairs help to find its cause.
-    ///
-    /// # Errors
-    /// If it cannot be written.
-    pub fn finish_recording(&mut self) -> Result<()> {
-        self.pairs.recording.take().map_or(Ok(()), |(recording, _)| recording.finish())
     }
 }
 

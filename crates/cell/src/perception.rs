@@ -14,6 +14,7 @@ use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Target};
 use pb3dp_hal_api::{CameraError, FramePair, StereoCamera};
+use pb3dp_servo::supervisor::FrameInput;
 use pb3dp_setup::setup::{Leader, Setup};
 use pb3dp_sim::geometric::{GeometricFrame, Hindrance, PoseSigma};
 
@@ -218,4 +219,15 @@ pub enum View {
     Geometric(Box<GeometricFrame>),
     /// Neither is at hand: a recorded estimate without its images.
     Nothing,
+}
+
+/// One frame for estimation and recording.
+#[derive(Clone, Debug)]
+pub struct Captured {
+    /// Sequence number and times.
+    pub frame: FrameInput,
+    /// True target pose at exposure; none with real cameras.
+    pub cam_left_from_target: Option<Pose<CamLeft, Target>>,
+    /// Input of the estimation method.
+    pub view: View,
 }

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::{escape, plot_data};
+use super::escape;
 
 /// Colour of a series; each has a light and a dark shade.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -115,13 +115,13 @@ impl LinePlot {
     }
 
     /// The plot as an HTML figure with its title, its legend and the element of its data.
-    pub(super) fn to_html(&self) -> String {
+    pub(super) fn to_html(&self, data: Option<String>) -> String {
         let key = |s: &Series| {
             let dashed = if s.dashed { " dashed" } else { "" };
             format!("<span><i class=\"key {}{dashed}\"></i>{}</span>", s.color.class(), escape(&s.name))
         };
         let legend: String = self.series.iter().map(key).collect();
-        let data = plot_data::to_html(self).unwrap_or_else(|| "<p>no value</p>".to_owned());
+        let data = data.unwrap_or_else(|| "<p>no value</p>".to_owned());
         format!(
             "<figure class=\"plot\"><figcaption><b>{}</b>{legend}</figcaption>{data}</figure>\n",
             escape(&self.title)
@@ -136,7 +136,7 @@ mod tests {
     #[test]
     fn a_plot_without_any_point_is_still_a_figure() {
         let nothing = Series::line("nothing", SeriesColor::Red, vec![[0.0, f64::NAN]]).dashed();
-        let html = LinePlot::new("a < b", ("time", "s"), ("ratio", "")).series(nothing).to_html();
+        let html = LinePlot::new("a < b", ("time", "s"), ("ratio", "")).series(nothing).to_html(None);
         assert!(html.contains("a &lt; b") && html.contains("key c-red dashed") && html.contains("no value"), "{html}");
     }
 }

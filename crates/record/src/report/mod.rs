@@ -211,14 +211,14 @@ impl Report {
     #[must_use]
     pub fn plot(mut self, plot: &LinePlot) -> Self {
         self.has_plots = true;
-        self.add(format_args!("{}", plot.to_html()))
+        self.add(format_args!("{}", plot.to_html(plot_data::to_html(plot))))
     }
 
     /// Plots side by side where the window is wide enough, as the panels of a figure.
     #[must_use]
     pub fn panels(mut self, plots: &[LinePlot]) -> Self {
         self.has_plots = true;
-        let panels: String = plots.iter().map(LinePlot::to_html).collect();
+        let panels: String = plots.iter().map(|plot| plot.to_html(plot_data::to_html(plot))).collect();
         self.add(format_args!("<div class=\"panels\">{panels}</div>"))
     }
 

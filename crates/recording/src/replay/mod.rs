@@ -160,10 +160,8 @@ impl Opened {
             heard = tapped;
         }
         let begin = MonotonicTime::from_nanos(run.begin.begin_nanos);
-        let journal = match reports {
-            true => Some(Journal::new(setup, &*experiment, person, (begin, experiment.duration_s()))?.quiet()),
-            false => None,
-        };
+        let journal = || Journal::new(setup, &*experiment, person, (begin, experiment.duration_s()));
+        let journal = reports.then(journal).transpose()?.map(Journal::quiet);
         let surface = if reports { TrueSurface::of(setup)? } else { None };
         let moving = Moving::new(setup, (heard.vs, heard.tc), &*experiment, begin)?.with_operator(heard.operator);
         let estimating = if anew { Some(estimating(setup, run)?) } else { None };
@@ -538,7 +536,7 @@ impl Replay<'_> {
             notes: self.notes,
             is_led_by_person,
             begins_s: self.past.begins_s,
-            outcome: self.journal.map(|journal| journal.finish(end)),
+            outcome: self.journal.map(|journal| journal.finish(end.pairs_lost, end.commands)),
             end: self.end,
         })
     }
