@@ -2,24 +2,24 @@
 
 use std::task::Poll;
 
-use pb3dp_cell::parts::DrivenArm;
+use pb3dp_cell::parts::ArmControl;
 use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, JointCommand, JointState, PowerOrder};
 use pb3dp_hal_middleware::LimiterStatistics;
 
-type Exchange = dyn FnMut(&mut dyn DrivenArm, JointCommand) -> Result<JointState, ArmError> + Send;
+type Exchange = dyn FnMut(&mut dyn ArmControl, JointCommand) -> Result<JointState, ArmError> + Send;
 
 /// An arm whose exchanges go through the test; all other calls go to the arm itself.
 pub struct Between {
-    arm: Box<dyn DrivenArm>,
+    arm: Box<dyn ArmControl>,
     exchange: Box<Exchange>,
 }
 
 impl Between {
     /// `exchange` gets each command of the run, with the arm; the run gets its return value.
     pub fn boxed(
-        arm: Box<dyn DrivenArm>,
-        exchange: impl FnMut(&mut dyn DrivenArm, JointCommand) -> Result<JointState, ArmError> + Send + 'static,
-    ) -> Box<dyn DrivenArm> {
+        arm: Box<dyn ArmControl>,
+        exchange: impl FnMut(&mut dyn ArmControl, JointCommand) -> Result<JointState, ArmError> + Send + 'static,
+    ) -> Box<dyn ArmControl> {
         Box::new(Self { arm, exchange: Box::new(exchange) })
     }
 }
@@ -48,7 +48,7 @@ impl ArmPower for Between {
     }
 }
 
-impl DrivenArm for Between {
+impl ArmControl for Between {
     fn statistics(&self) -> LimiterStatistics {
         self.arm.statistics()
     }

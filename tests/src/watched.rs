@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use pb3dp_cell::parts::{DrivenArm, Parts};
+use pb3dp_cell::parts::{ArmControl, Parts};
 use pb3dp_hal_api::{ArmError, ArmErrorKind, JointCommand, JointState};
 
 use crate::between::Between;
@@ -25,7 +25,7 @@ pub fn watched(parts: Parts) -> (Parts, Notes, Notes) {
     (parts, vs, tc)
 }
 
-fn noted(arm: Box<dyn DrivenArm>, notes: Notes) -> Box<dyn DrivenArm> {
+fn noted(arm: Box<dyn ArmControl>, notes: Notes) -> Box<dyn ArmControl> {
     Between::boxed(arm, move |arm, command| {
         let mut commands = notes.commands.lock().unwrap_or_else(PoisonError::into_inner);
         if notes.fail_after.lock().unwrap_or_else(PoisonError::into_inner).is_some_and(|limit| commands.len() >= limit)

@@ -56,13 +56,13 @@ fn setup() -> Setup {
 }
 
 /// Answer for a pair, and its error relative to the truth: metres and radians, of the pose relative to that of pair 3.
-struct Said {
+struct PairResult {
     number: u32,
     estimate: TrackEstimate,
     error: Option<Vector6<f64>>,
 }
 
-impl Said {
+impl PairResult {
     fn is_sure(&self) -> bool {
         self.error.is_some() && self.estimate.status.depth_is_sure()
     }
@@ -83,9 +83,9 @@ impl Said {
 }
 
 /// Tracks the target through 13 pairs, of which those of [`SUFFER`] have a fault.
-fn follow(kind: CameraFaultKind) -> Vec<Said> {
+fn follow(kind: CameraFaultKind) -> Vec<PairResult> {
     let mut target_from_model = None;
-    let mut said = Vec::new();
+    let mut pair_results = Vec::new();
     track(kind, SUFFER, |number, estimate, cam_left_from_target| {
         let found = estimate.cam_left_from_model;
         if number == 3 {
@@ -94,9 +94,9 @@ fn follow(kind: CameraFaultKind) -> Vec<Said> {
         let error = found
             .zip(target_from_model)
             .map(|(found, target_from_model)| (found.inverse() * *cam_left_from_target * target_from_model).log());
-        said.push(Said { number, estimate, error });
+        pair_results.push(PairResult { number, estimate, error });
     });
-    said
+    pair_results
 }
 
 /// Status, and angle between found and true normal in degrees, of each of 13 pairs with a fault.
@@ -144,8 +144,8 @@ fn track(
     }
 }
 
-fn line(said: &Said) -> String {
-    let Said { number, estimate, error } = said;
+fn line(pair_results: &PairResult) -> String {
+    let PairResult { number, estimate, error } = pair_results;
     let error = error.map(|xi| {
         format!("{:.2} mm, {:.2} deg", xi.fixed_rows::<3>(0).norm() * 1e3, xi.fixed_rows::<3>(3).norm().to_degrees())
     });
@@ -154,39 +154,40 @@ fn line(said: &Said) -> String {
 
 /// No wrong pose is reported as confident, during the fault or afterwards, and all pairs afterwards have a pose. In at
 /// least this many of the pairs with the fault the method is confident and right.
-fn is_borne(kind: CameraFaultKind, sure_at_least: usize) -> Vec<Said> {
-    let said = follow(kind);
-    for said in &said[4..] {
-        assert!(!said.is_sure() || said.is_right(), "{}: {}", kind.name(), line(said));
+fn is_borne(kind: CameraFaultKind, sure_at_least: usize) -> Vec<PairResult> {
+    let pair_results = follow(kind);
+    for pair_results in &pair_results[4..] {
+        assert!(!pair_results.is_sure() || pair_results.is_right(), "{}: {}", kind.name(), line(pair_results));
     }
-    let after: Vec<&Said> = said.iter().filter(|said| said.number >= SUFFER.end).collect();
+    let after: Vec<&PairResult> =
+        pair_results.iter().filter(|pair_results| pair_results.number >= SUFFER.end).collect();
     assert_eq!(after.len(), 4, "{}", kind.name());
-    for said in after {
-        assert!(said.is_sure(), "{}: not confident after the fault, {}", kind.name(), line(said));
+    for pair_results in after {
+        assert!(pair_results.is_sure(), "{}: not confident after the fault, {}", kind.name(), line(pair_results));
     }
-    let sure = suffering(&said).filter(|said| said.is_sure()).count();
+    let sure = suffering(&pair_results).filter(|pair_results| pair_results.is_sure()).count();
     assert!(sure >= sure_at_least, "{}: confident in {sure} pairs with the fault", kind.name());
-    said
+    pair_results
 }
 
-fn suffering(said: &[Said]) -> impl Iterator<Item = &Said> {
-    said.iter().filter(|said| SUFFER.contains(&said.number))
+fn suffering(pair_results: &[PairResult]) -> impl Iterator<Item = &PairResult> {
+    pair_results.iter().filter(|pair_results| SUFFER.contains(&pair_results.number))
 }
 
 /// In no pair with the fault is the method confident.
-fn is_told(kind: CameraFaultKind) {
-    let said = is_borne(kind, 0);
-    assert_eq!(suffering(&said).count(), SUFFER.len(), "{}", kind.name());
-    for said in suffering(&said) {
-        assert!(!said.is_sure(), "{}: {}", kind.name(), line(said));
+fn is_reported(kind: CameraFaultKind) {
+    let pair_results = is_borne(kind, 0);
+    assert_eq!(suffering(&pair_results).count(), SUFFER.len(), "{}", kind.name());
+    for pair_results in suffering(&pair_results) {
+        assert!(!pair_results.is_sure(), "{}: {}", kind.name(), line(pair_results));
     }
 }
 
 #[test]
 fn images_without_a_target_are_no_pose() {
-    is_told(CameraFaultKind::Black { cameras: AffectedCameras::Right });
-    is_told(CameraFaultKind::Saturated { cameras: AffectedCameras::Both });
-    is_told(CameraFaultKind::Occluder { width_share: 0.7, crosses: false });
+    is_reported(CameraFaultKind::Black { cameras: AffectedCameras::Right });
+    is_reported(CameraFaultKind::Saturated { cameras: AffectedCameras::Both });
+    is_reported(CameraFaultKind::Occluder { width_share: 0.7, crosses: false });
 }
 
 #[test]
@@ -210,9 +211,11 @@ fn displaced(roll_deg: f64, scale: f64) -> CameraFaultKind {
 fn rows_that_are_displaced_for_a_while_are_named() {
     let lower = CameraFaultKind::Miscalibrated { columns_px: 0.0, rows_px: 4.0, roll_rad: 0.0, scale: 1.0 };
     for kind in [lower, displaced(1.0, 1.0), displaced(0.0, 1.03)] {
-        let said = is_borne(kind, 0);
-        let named = suffering(&said).filter(|said| said.estimate.status == Status::Miscalibrated).count();
-        assert!(named >= SUFFER.len() - 2, "{kind:?}: {:?}", said.iter().map(line).collect::<Vec<_>>());
+        let pair_results = is_borne(kind, 0);
+        let named = suffering(&pair_results)
+            .filter(|pair_results| pair_results.estimate.status == Status::Miscalibrated)
+            .count();
+        assert!(named >= SUFFER.len() - 2, "{kind:?}: {:?}", pair_results.iter().map(line).collect::<Vec<_>>());
     }
 }
 
@@ -237,13 +240,16 @@ fn a_calibration_that_is_wrong_from_the_start_is_corrected_or_named() {
 /// its height, 20 mm.
 #[test]
 fn a_torn_pair_is_off_by_no_more_than_the_target_moved() {
-    let said = follow(CameraFaultKind::Torn { share: 1.0 });
-    assert!(suffering(&said).filter(|said| said.is_sure()).count() >= 3, "torn pairs have confident poses");
-    for said in said.iter().filter(|said| said.number > 3 && said.is_sure()) {
-        let error = said.error.unwrap();
+    let pair_results = follow(CameraFaultKind::Torn { share: 1.0 });
+    assert!(
+        suffering(&pair_results).filter(|pair_results| pair_results.is_sure()).count() >= 3,
+        "torn pairs have confident poses"
+    );
+    for pair_results in pair_results.iter().filter(|pair_results| pair_results.number > 3 && pair_results.is_sure()) {
+        let error = pair_results.error.unwrap();
         let (off_m, turned_rad) = (error.fixed_rows::<3>(0).norm(), error.fixed_rows::<3>(3).norm());
-        assert!(off_m < 1.7e-3 && turned_rad < 1.7 / 20.0, "{}", line(said));
-        assert!(SUFFER.contains(&said.number) || said.is_right(), "{}", line(said));
+        assert!(off_m < 1.7e-3 && turned_rad < 1.7 / 20.0, "{}", line(pair_results));
+        assert!(SUFFER.contains(&pair_results.number) || pair_results.is_right(), "{}", line(pair_results));
     }
 }
 
@@ -253,12 +259,15 @@ fn what_no_image_tells_is_off_by_what_geometry_says() {
     let (disparity_px, columns_px) = (74.0, 1.0);
     let kind = CameraFaultKind::Miscalibrated { columns_px, rows_px: 0.0, roll_rad: 0.0, scale: 1.0 };
     let farther_mm = 500.0 * (disparity_px / (disparity_px - columns_px) - 1.0);
-    let said = follow(kind);
-    assert!(suffering(&said).filter(|said| said.is_sure()).count() >= 3, "the images do not show the fault");
-    for said in suffering(&said).filter(|said| said.is_sure()) {
-        let off_mm = said.error.unwrap().fixed_rows::<3>(0).norm() * 1e3;
-        assert!((off_mm - farther_mm).abs() < 1.0, "{farther_mm} mm: {}", line(said));
+    let pair_results = follow(kind);
+    assert!(
+        suffering(&pair_results).filter(|pair_results| pair_results.is_sure()).count() >= 3,
+        "the images do not show the fault"
+    );
+    for pair_results in suffering(&pair_results).filter(|pair_results| pair_results.is_sure()) {
+        let off_mm = pair_results.error.unwrap().fixed_rows::<3>(0).norm() * 1e3;
+        assert!((off_mm - farther_mm).abs() < 1.0, "{farther_mm} mm: {}", line(pair_results));
     }
-    let last = said.last().unwrap();
+    let last = pair_results.last().unwrap();
     assert!(last.is_sure() && last.is_right(), "{}", line(last));
 }

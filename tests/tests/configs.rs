@@ -100,8 +100,8 @@ fn the_setups_differ_only_in_what_they_are_for() {
         ["arms.tc.backend", "arms.vs.backend", "estimator.compare", "run.pace", "servo.arm_response.delay_millis"]
     );
     assert_eq!(differing("sim.toml", "bare.toml", &["truth."]), ["estimator.compare"]);
-    let seen = ["camera.", "scene.", "drift.", "estimator.geometric.", "arms.vs.gateway.", "arms.tc.gateway."];
-    let cautious: Vec<String> = differing("hil.toml", "rig.toml", &seen);
+    let prefixes = ["camera.", "scene.", "drift.", "estimator.geometric.", "arms.vs.gateway.", "arms.tc.gateway."];
+    let cautious: Vec<String> = differing("hil.toml", "rig.toml", &prefixes);
     assert_eq!(
         cautious,
         [

@@ -10,11 +10,11 @@ use anyhow::{Context, Result};
 use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
 use pb3dp_cell::capturing::Captured;
 use pb3dp_cell::cell::{FreeTarget, SimulatedCell};
-use pb3dp_cell::halves::{Course, Estimate, Mover};
-use pb3dp_cell::looking::{Estimating, Looking};
-use pb3dp_cell::moving::{Moved, Moving};
-use pb3dp_cell::noting::PairEstimate;
+use pb3dp_cell::estimate_log::PairEstimate;
+use pb3dp_cell::halves::{Estimate, Mover, RunContext};
+use pb3dp_cell::moving::{Moving, StepRecord};
 use pb3dp_cell::percept::Percept;
+use pb3dp_cell::vision::{Estimating, Vision};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
 use pb3dp_servo::TargetObservation;
@@ -140,11 +140,11 @@ pub fn run(setup: &Setup, disturbance: Disturbance, for_s: f64) -> Result<Ran> {
     })?;
     let clock = Arc::clone(&parts.clock);
     let cell = parts.cell.clone();
-    let Looking { mut capturing, estimating } =
-        Looking::new(setup, (parts.camera, parts.cell, parts.marking), &parts.clock)?;
+    let Vision { mut capturing, estimating } =
+        Vision::new(setup, (parts.camera, parts.cell, parts.marking), &parts.clock)?;
     let moving = Moving::new(setup, (parts.vs, parts.tc), &*parts.experiment, clock.now())?;
-    let mut watching =
-        Watching { estimating, cell: cell.clone(), disturbance, clock: Arc::clone(&clock), begin: clock.now() };
+    let mut vision_watcher =
+        VisionWatcher { estimating, cell: cell.clone(), disturbance, clock: Arc::clone(&clock), begin: clock.now() };
     let mut disturbed = Disturbed {
         inner: moving,
         disturbance,
@@ -159,9 +159,9 @@ pub fn run(setup: &Setup, disturbance: Disturbance, for_s: f64) -> Result<Ran> {
     };
     let interrupt = AtomicBool::new(false);
     let duration = Duration::from_secs_f64(for_s);
-    let course = Course { setup, clock: &clock, duration, interrupt: &interrupt };
-    let ended = course
-        .run_in_lockstep((&mut capturing, &mut watching, &mut ()), &mut disturbed)
+    let run_context = RunContext { setup, clock: &clock, duration, interrupt: &interrupt };
+    let ended = run_context
+        .run_in_lockstep((&mut capturing, &mut vision_watcher, &mut ()), &mut disturbed)
         .err()
         .map(|error| format!("{error:#}"));
     disturbed.sample();
@@ -194,7 +194,7 @@ impl Ran {
 }
 
 /// The vision half, without pairs while the camera stands still.
-struct Watching<'a> {
+struct VisionWatcher<'a> {
     estimating: Estimating<'a>,
     cell: SimulatedCell,
     disturbance: Disturbance,
@@ -202,7 +202,7 @@ struct Watching<'a> {
     begin: MonotonicTime,
 }
 
-impl Estimate<Moved> for Watching<'_> {
+impl Estimate<StepRecord> for VisionWatcher<'_> {
     type Observed = PairEstimate;
 
     fn begin_at(&mut self, begin: MonotonicTime) {
@@ -210,14 +210,14 @@ impl Estimate<Moved> for Watching<'_> {
         self.begin = begin;
     }
 
-    fn moved(&mut self, step: &Moved) {
+    fn moved(&mut self, step: &StepRecord) {
         self.estimating.moved(step);
     }
 
     fn look(&mut self, frame: Captured) -> Result<(Option<Percept>, PairEstimate)> {
-        let seen = self.estimating.look(frame)?;
+        let pair_estimate = self.estimating.look(frame)?;
         let t_s = self.clock.now().seconds_since(self.begin);
-        Ok(((!self.disturbance.stops(Part::Camera, t_s)).then(|| seen.percept()), seen))
+        Ok(((!self.disturbance.stops(Part::Camera, t_s)).then(|| pair_estimate.percept()), pair_estimate))
     }
 }
 
@@ -244,7 +244,7 @@ struct Disturbed<'a> {
 }
 
 impl Mover for Disturbed<'_> {
-    type Step = Moved;
+    type Step = StepRecord;
 
     fn enable(&mut self) -> Result<bool> {
         self.inner.enable()
@@ -270,7 +270,7 @@ impl Mover for Disturbed<'_> {
         }
     }
 
-    fn step(&mut self, now: MonotonicTime) -> Result<Moved> {
+    fn step(&mut self, now: MonotonicTime) -> Result<StepRecord> {
         self.disturb(now)?;
         while self.waiting.front().is_some_and(|(due, _)| *due <= now)
             && let Some((_, percept)) = self.waiting.pop_front()
@@ -305,9 +305,9 @@ impl Disturbed<'_> {
                 self.clock.sleep_until(self.begin + Duration::from_secs_f64(stall.until_s()));
             }
             (Part::Link, progress) => {
-                let word = if progress == Progress::Within { "on" } else { "off" };
-                self.ends[0].command_line(&format!("line silence {word}"))?;
-                self.ends[0].command_line(&format!("line deaf {word}"))?;
+                let switch = if progress == Progress::Within { "on" } else { "off" };
+                self.ends[0].command_line(&format!("line silence {switch}"))?;
+                self.ends[0].command_line(&format!("line deaf {switch}"))?;
             }
             _ => {}
         }

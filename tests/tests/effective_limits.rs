@@ -130,14 +130,14 @@ fn share_of_the_controller(setup: &Setup, scale: f64) -> f64 {
         clock.sleep_until(clock.now() + CYCLE);
         let joints =
             JointState { at: clock.now(), position_rad: arm.start_rad, velocity_rad_per_s: JointVector::zeros() };
-        let seen = TargetObservation {
+        let observation = TargetObservation {
             at: clock.now(),
             cam_left_from_model: far,
             trusted: true,
             covariance: None,
             observed: [true; 6],
         };
-        if let Command::Velocity(velocity) = controller.step(&joints, Some(&seen), clock.now()).command {
+        if let Command::Velocity(velocity) = controller.step(&joints, Some(&observation), clock.now()).command {
             share = share.max(velocity.component_div(&allowed(scale)).amax());
         }
     }

@@ -34,7 +34,7 @@ const SECONDS_MAX: f64 = 10.0;
 const BYTES_MAX: u64 = 1 << 30;
 
 /// Numbers and words that are wrong nearly everywhere.
-const WORDS: [&str; 14] = [
+const TERMS: [&str; 14] = [
     "0",
     "-1",
     "1e308",
@@ -73,18 +73,18 @@ fn mutated(original: &[u8], rng: &mut SplitMix64) -> Vec<u8> {
                 let end = bytes.len().min(at + 4);
                 bytes[at..end].copy_from_slice(&number[..end - at]);
             }
-            _ => replace_word(&mut bytes, at, rng),
+            _ => replace_term(&mut bytes, at, rng),
         }
     }
     bytes
 }
 
 /// Replaces the next number of a text.
-fn replace_word(bytes: &mut Vec<u8>, from: usize, rng: &mut SplitMix64) {
+fn replace_term(bytes: &mut Vec<u8>, from: usize, rng: &mut SplitMix64) {
     let is_number = |byte: &u8| byte.is_ascii_digit() || b"+-.eE".contains(byte);
     let Some(at) = bytes[from..].iter().position(u8::is_ascii_digit).map(|at| from + at) else { return };
     let end = bytes[at..].iter().position(|byte| !is_number(byte)).map_or(bytes.len(), |length| at + length);
-    bytes.splice(at..end, WORDS[rng.below(WORDS.len() as u32) as usize].bytes());
+    bytes.splice(at..end, TERMS[rng.below(TERMS.len() as u32) as usize].bytes());
 }
 
 fn rig() -> StereoRig {

@@ -7,11 +7,11 @@ use std::time::Duration;
 
 use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
 use pb3dp_cell::cell::{FreeTarget, SimulatedCell};
-use pb3dp_cell::halves::{Course, Mover, Record};
-use pb3dp_cell::looking::Looking;
-use pb3dp_cell::moving::{Moved, Moving};
-use pb3dp_cell::noting::PairEstimate;
+use pb3dp_cell::estimate_log::PairEstimate;
+use pb3dp_cell::halves::{Mover, Record, RunContext};
+use pb3dp_cell::moving::{Moving, StepRecord};
 use pb3dp_cell::percept::Percept;
+use pb3dp_cell::vision::Vision;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_setup::setup::Setup;
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig};
@@ -58,7 +58,7 @@ fn ran(arm: usize, lines: &'static [&'static str], every_s: f64, for_s: f64) -> 
     .unwrap();
     let (clock, cell) = (Arc::clone(&parts.clock), parts.cell.clone());
     let sees = (parts.camera, parts.cell, parts.marking);
-    let mut looking = Looking::new(&setup, sees, &parts.clock).unwrap();
+    let mut vision = Vision::new(&setup, sees, &parts.clock).unwrap();
     let moving = Moving::new(&setup, (parts.vs, parts.tc), &*parts.experiment, clock.now()).unwrap();
     let mut target = FreeToMove(cell);
     let mut faulty = Faulty {
@@ -71,9 +71,9 @@ fn ran(arm: usize, lines: &'static [&'static str], every_s: f64, for_s: f64) -> 
     };
     let interrupt = AtomicBool::new(false);
     let duration = Duration::from_secs_f64(FROM_S + for_s);
-    let course = Course { setup: &setup, clock: &clock, duration, interrupt: &interrupt };
-    let ended = course
-        .run_in_lockstep((&mut looking.capturing, &mut looking.estimating, &mut target), &mut faulty)
+    let run_context = RunContext { setup: &setup, clock: &clock, duration, interrupt: &interrupt };
+    let ended = run_context
+        .run_in_lockstep((&mut vision.capturing, &mut vision.estimating, &mut target), &mut faulty)
         .err()
         .map(|error| format!("{error:#}"));
     Ran { ended, ended_s: faulty.ended_s }
@@ -82,7 +82,7 @@ fn ran(arm: usize, lines: &'static [&'static str], every_s: f64, for_s: f64) -> 
 /// The target that moves by itself.
 struct FreeToMove(SimulatedCell);
 
-impl Record<Moved, PairEstimate> for FreeToMove {
+impl Record<StepRecord, PairEstimate> for FreeToMove {
     fn begin_at(&mut self, begin: MonotonicTime) {
         self.0.begin_at(begin);
     }
@@ -100,7 +100,7 @@ struct Faulty<'a> {
 }
 
 impl Mover for Faulty<'_> {
-    type Step = Moved;
+    type Step = StepRecord;
 
     fn enable(&mut self) -> anyhow::Result<bool> {
         self.inner.enable()
@@ -115,7 +115,7 @@ impl Mover for Faulty<'_> {
         self.inner.observe(percept, now);
     }
 
-    fn step(&mut self, now: MonotonicTime) -> anyhow::Result<Moved> {
+    fn step(&mut self, now: MonotonicTime) -> anyhow::Result<StepRecord> {
         self.ended_s = now.seconds_since(self.begin);
         let Faults { arm, lines, every_s } = self.faults;
         while self.ended_s >= FROM_S + f64::from(self.given) * every_s {

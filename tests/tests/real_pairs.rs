@@ -50,7 +50,7 @@ fn run(mut estimator: Estimator, case: &Case, images: &StereoImages) -> PlaneEst
         tilt_max_rad: case.search.tilt_max_rad,
     };
     estimator
-        .estimate(EstimateRequest::of_target(&images.left, &images.right, &Region::Polygon { vertices_px }, &range))
+        .estimate(EstimateRequest::new_target(&images.left, &images.right, &Region::Polygon { vertices_px }, &range))
         .unwrap()
 }
 

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_cell::halves::Mover;
-use pb3dp_cell::moving::{Moved, Moving};
+use pb3dp_cell::moving::{Moving, StepRecord};
 use pb3dp_cell::operator::{ByCommand, Operator};
 use pb3dp_cell::parts::Parts;
 use pb3dp_cell::percept::Percept;
@@ -22,14 +22,17 @@ use system_tests::repository;
 /// Selects and starts by itself, then gives the commands of the test.
 struct Says {
     by_itself: ByCommand,
-    word: Arc<Mutex<Option<OperatorCommand>>>,
+    command: Arc<Mutex<Option<OperatorCommand>>>,
 }
 
 impl Operator for Says {
     fn listen(&mut self, last: Option<&Decision>, now: MonotonicTime) -> OperatorInput {
-        let heard = self.by_itself.listen(last, now);
-        let word = self.word.lock().unwrap().take();
-        OperatorInput { said: word.map(|word| OperatorRequest { word, at: now }).or(heard.said), ..heard }
+        let input = self.by_itself.listen(last, now);
+        let command = self.command.lock().unwrap().take();
+        OperatorInput {
+            request: command.map(|command| OperatorRequest { command, at: now }).or(input.request),
+            ..input
+        }
     }
 
     fn show(&mut self, _decision: &Decision) {}
@@ -54,7 +57,7 @@ const RUN_S: f64 = 12.0;
 
 /// A run: its steps, the largest speeds of the hand after five seconds (m/s, rad/s), and its pose at the end.
 struct Ran {
-    all: Vec<Moved>,
+    all: Vec<StepRecord>,
     fastest: [f64; 2],
     model_from_hand: Pose<Model, Hand>,
     model_from_hand_desired: Pose<Model, Hand>,
@@ -68,8 +71,8 @@ fn run(sees: Option<Pose<Surface, Model>>, says: &[(f64, OperatorCommand)]) -> R
     let parts = wire(&setup).unwrap();
     let experiment = parts.experiment.clone();
     let Parts { clock, vs, tc, cell, .. } = parts;
-    let word = Arc::new(Mutex::new(None));
-    let operator = Says { by_itself: ByCommand, word: Arc::clone(&word) };
+    let command = Arc::new(Mutex::new(None));
+    let operator = Says { by_itself: ByCommand, command: Arc::clone(&command) };
     let mut moving =
         Moving::new(&setup, (vs, tc), &*experiment, clock.now()).unwrap().with_operator(Box::new(operator));
     assert!(moving.enable().unwrap());
@@ -99,8 +102,8 @@ fn run(sees: Option<Pose<Surface, Model>>, says: &[(f64, OperatorCommand)]) -> R
                 now,
             );
         }
-        if let Some((_, said)) = says.iter().find(|(at_s, _)| step == (at_s / period_s) as u64) {
-            *word.lock().unwrap() = Some(*said);
+        if let Some((_, request)) = says.iter().find(|(at_s, _)| step == (at_s / period_s) as u64) {
+            *command.lock().unwrap() = Some(*request);
         }
         all.push(moving.step(now).unwrap());
         let is_at = cell.world_from_hand_at(now);
@@ -116,11 +119,11 @@ fn run(sees: Option<Pose<Surface, Model>>, says: &[(f64, OperatorCommand)]) -> R
     Ran { all, fastest, model_from_hand: target_from_hand.relabel(), model_from_hand_desired }
 }
 
-fn joints(all: &[Moved]) -> Vec<[u64; 7]> {
+fn joints(all: &[StepRecord]) -> Vec<[u64; 7]> {
     all.iter().map(|moved| std::array::from_fn(|joint| moved.vs_joints.position_rad[joint].to_bits())).collect()
 }
 
-fn step_of(all: &[Moved], event: Event) -> usize {
+fn step_of(all: &[StepRecord], event: Event) -> usize {
     all.iter().position(|moved| moved.decision.transition.is_some_and(|done| done.event == event)).unwrap()
 }
 
@@ -132,9 +135,9 @@ fn apart(one: &Pose<Model, Hand>, other: &Pose<Model, Hand>) -> [f64; 2] {
 
 #[test]
 fn the_hand_takes_the_surface_at_re_align_by_an_approach_and_nothing_changes_without_it() {
-    let (without, seen) = (run(None, &[]), run(Some(surface_from_model()), &[]));
-    assert_eq!(joints(&without.all), joints(&seen.all), "what is known of the surface moves nothing");
-    let [off_m, off_rad] = apart(&seen.model_from_hand, &seen.model_from_hand_desired);
+    let (without, with_surface) = (run(None, &[]), run(Some(surface_from_model()), &[]));
+    assert_eq!(joints(&without.all), joints(&with_surface.all), "what is known of the surface moves nothing");
+    let [off_m, off_rad] = apart(&with_surface.model_from_hand, &with_surface.model_from_hand_desired);
     assert!(off_m < 2e-4 && off_rad < 1e-3, "{off_m} m, {off_rad} rad");
 
     let aligned = run(Some(surface_from_model()), &[(5.0, OperatorCommand::Realign)]);

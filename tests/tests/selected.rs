@@ -5,13 +5,13 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use pb3dp_cell::estimate_log::PairEstimate;
 use pb3dp_cell::experiment;
 use pb3dp_cell::journal::TruePoses;
-use pb3dp_cell::moving::Moved;
-use pb3dp_cell::noting::PairEstimate;
+use pb3dp_cell::moving::StepRecord;
 use pb3dp_cell::operator::Operator;
 use pb3dp_cell::parts::Parts;
-use pb3dp_cell::perception::{Marking, View};
+use pb3dp_cell::perception::{TargetSource, View};
 use pb3dp_cell::selection::{Choice, Selection, Selections};
 use pb3dp_cell::spectator::Spectator;
 use pb3dp_estimation_core::region::Region;
@@ -25,39 +25,39 @@ use system_tests::repository;
 
 /// What was seen, and the newest pairs with the true region of the target in each.
 #[derive(Default)]
-struct Seen {
+struct Observed {
     pairs: VecDeque<(Arc<FramePair>, Region)>,
     estimates: Vec<(u64, Status, String)>,
     states: Vec<State>,
 }
 
-struct Watching {
+struct SelectionSpectator {
     setup: Setup,
-    outline: Marking,
-    seen: Arc<Mutex<Seen>>,
+    outline: TargetSource,
+    observed: Arc<Mutex<Observed>>,
 }
 
-impl Spectator for Watching {
-    fn moved(&mut self, step: &Moved, _poses: Option<TruePoses>) {
-        self.seen.lock().unwrap().states.push(step.decision.state);
+impl Spectator for SelectionSpectator {
+    fn moved(&mut self, step: &StepRecord, _poses: Option<TruePoses>) {
+        self.observed.lock().unwrap().states.push(step.decision.state);
     }
 
-    fn seen(&mut self, pair: &PairEstimate) {
+    fn estimated(&mut self, pair: &PairEstimate) {
         let View::Images(images) = &pair.captured.view else { panic!("the run has images") };
         let region = self.outline.region(&self.setup, pair.captured.cam_left_from_target.as_ref()).unwrap();
-        let mut seen = self.seen.lock().unwrap();
-        seen.pairs.push_back((Arc::clone(images), region));
-        if seen.pairs.len() > 10 {
-            seen.pairs.pop_front();
+        let mut observed = self.observed.lock().unwrap();
+        observed.pairs.push_back((Arc::clone(images), region));
+        if observed.pairs.len() > 10 {
+            observed.pairs.pop_front();
         }
-        seen.estimates.push((pair.target, pair.estimate.status, pair.estimate.reason.clone()));
+        observed.estimates.push((pair.target, pair.estimate.status, pair.estimate.reason.clone()));
     }
 }
 
 /// Commands at their times; `select` marks a target, `start` waits until it is possible.
 struct Script {
     steps: VecDeque<(f64, OperatorCommand)>,
-    seen: Arc<Mutex<Seen>>,
+    observed: Arc<Mutex<Observed>>,
     selections: Selections,
     selected: usize,
     refused: Arc<Mutex<Vec<String>>>,
@@ -67,10 +67,10 @@ impl Script {
     /// The first target is drawn on a pair of 0.3 s ago, the second is the middle of its right half, the third has no area to speak of.
     fn selection(&mut self) -> Selection {
         self.selected += 1;
-        let seen = self.seen.lock().unwrap();
+        let observed = self.observed.lock().unwrap();
         match self.selected {
             1 => {
-                let (pair, region) = seen.pairs.front().unwrap().clone();
+                let (pair, region) = observed.pairs.front().unwrap().clone();
                 Selection { region, drawn_on: Some(pair), model: None }
             }
             2 => Selection {
@@ -91,13 +91,13 @@ impl Operator for Script {
             now >= MonotonicTime::ZERO + Duration::from_secs_f64(at_s)
                 && (command != OperatorCommand::Start || last.is_some_and(|last| last.is_ready))
         });
-        let said = if is_due { self.steps.pop_front() } else { None };
-        if let Some((_, OperatorCommand::Select)) = said {
+        let request = if is_due { self.steps.pop_front() } else { None };
+        if let Some((_, OperatorCommand::Select)) = request {
             let selection = self.selection();
             self.selections.give(Choice::Marked(selection));
         }
-        let said = said.map(|(_, word)| OperatorRequest { word, at: now });
-        OperatorInput { said, heard_at: Some(now), silent_after: None }
+        let request = request.map(|(_, command)| OperatorRequest { command, at: now });
+        OperatorInput { request, heartbeat_at: Some(now), silent_after: None }
     }
 
     fn show(&mut self, decision: &Decision) {
@@ -121,30 +121,31 @@ fn targets_are_selected_one_after_another_while_the_run_goes_on() {
     setup.compared.clear();
     setup.experiment.carrier = Carrier::Person;
     let parts = wire(&setup).unwrap();
-    let (seen, selections, refused) = (Arc::<Mutex<Seen>>::default(), Selections::default(), Arc::default());
-    let watching = Watching { setup: setup.clone(), outline: parts.marking.clone(), seen: Arc::clone(&seen) };
+    let (observed, selections, refused) = (Arc::<Mutex<Observed>>::default(), Selections::default(), Arc::default());
+    let selection_spectator =
+        SelectionSpectator { setup: setup.clone(), outline: parts.marking.clone(), observed: Arc::clone(&observed) };
     use OperatorCommand::{Hold, Select, Start};
     let begin_s = 1.5;
     let steps =
         [(begin_s, Select), (begin_s, Start), (6.0, Hold), (6.5, Select), (6.5, Start), (9.0, Hold), (9.3, Select)];
     let script = Script {
         steps: steps.into(),
-        seen: Arc::clone(&seen),
+        observed: Arc::clone(&observed),
         selections: selections.clone(),
         selected: 0,
         refused: Arc::clone(&refused),
     };
     let parts = Parts {
-        marking: Marking::Awaited,
+        marking: TargetSource::FromOperator,
         selections: Some(selections),
         operator: Box::new(script),
-        spectators: vec![Box::new(watching)],
+        spectators: vec![Box::new(selection_spectator)],
         ..parts
     };
     let outcome = experiment::run(&setup, parts, Some(10.0), None).unwrap();
     assert_eq!(*refused.lock().unwrap(), Vec::<String>::new());
-    let seen = seen.lock().unwrap();
-    let of = |target: u64| seen.estimates.iter().filter(move |(of, ..)| *of == target);
+    let observed = observed.lock().unwrap();
+    let of = |target: u64| observed.estimates.iter().filter(move |(of, ..)| *of == target);
     assert!(of(0).all(|(_, status, why)| *status == Status::Lost && why.contains("no target is selected")));
     assert!(of(0).count() > 30, "before the first selection");
     assert!(of(1).skip(1).all(|(_, status, _)| *status == Status::Ok), "{:?}", of(1).next());
@@ -152,7 +153,7 @@ fn targets_are_selected_one_after_another_while_the_run_goes_on() {
     let (_, status, why) = of(3).next().unwrap();
     assert_eq!(*status, Status::NotObservable, "{why}");
     assert!(of(3).skip(1).all(|(_, _, why)| why.contains("no target is selected")), "{:?}", of(3).next_back());
-    let mut states = seen.states.clone();
+    let mut states = observed.states.clone();
     states.dedup();
     use State::{Approaching, Holding, Idle, Selecting, Tracking};
     let expected = [Idle, Selecting, Approaching, Tracking, Holding, Selecting];

@@ -9,7 +9,7 @@ use std::task::Poll;
 
 use pb3dp_cell::experiment::{Ended, conduct};
 use pb3dp_cell::operator::Operator;
-use pb3dp_cell::parts::{DrivenArm, Parts};
+use pb3dp_cell::parts::{ArmControl, Parts};
 use pb3dp_cell::report::{self, Made};
 use pb3dp_cell::supervision::TransitionNote;
 use pb3dp_geometry::MonotonicTime;
@@ -41,37 +41,37 @@ fn setup() -> Setup {
 
 /// An operator who gives these commands at these times (seconds), with a heartbeat until he falls silent.
 struct Person {
-    words: Vec<(f64, OperatorCommand)>,
+    commands: Vec<(f64, OperatorCommand)>,
     silent: (f64, f64),
     resets_late_s: f64,
-    told: Arc<Mutex<Vec<String>>>,
+    troubles: Arc<Mutex<Vec<String>>>,
 }
 
 impl Operator for Person {
     fn listen(&mut self, _last: Option<&Decision>, now: MonotonicTime) -> OperatorInput {
         let now_s = now.seconds_since(MonotonicTime::ZERO);
-        let is_due = self.words.first().is_some_and(|(at_s, _)| *at_s <= now_s);
-        let said = is_due.then(|| self.words.remove(0).1).map(|word| match word {
+        let is_due = self.commands.first().is_some_and(|(at_s, _)| *at_s <= now_s);
+        let request = is_due.then(|| self.commands.remove(0).1).map(|command| match command {
             OperatorCommand::Reset => {
-                OperatorRequest { word, at: MonotonicTime::from_secs_f64(now_s - self.resets_late_s) }
+                OperatorRequest { command, at: MonotonicTime::from_secs_f64(now_s - self.resets_late_s) }
             }
-            _ => OperatorRequest { word, at: now },
+            _ => OperatorRequest { command, at: now },
         });
         let (from_s, until_s) = self.silent;
-        let heard_s = if (from_s..until_s).contains(&now_s) { from_s } else { now_s };
-        OperatorInput { said, heard_at: Some(MonotonicTime::from_secs_f64(heard_s)), silent_after: None }
+        let heartbeat_s = if (from_s..until_s).contains(&now_s) { from_s } else { now_s };
+        OperatorInput { request, heartbeat_at: Some(MonotonicTime::from_secs_f64(heartbeat_s)), silent_after: None }
     }
 
     fn show(&mut self, decision: &Decision) {
-        self.told.lock().unwrap().extend(decision.refused.map(|refused| refused.to_string()));
+        self.troubles.lock().unwrap().extend(decision.refused.map(|refused| refused.to_string()));
     }
 
     fn tell(&mut self, trouble: Option<String>) {
-        self.told.lock().unwrap().extend(trouble);
+        self.troubles.lock().unwrap().extend(trouble);
     }
 
     fn answer(&mut self, result: String) {
-        self.told.lock().unwrap().push(result);
+        self.troubles.lock().unwrap().push(result);
     }
 
     fn is_person(&self) -> bool {
@@ -86,14 +86,14 @@ impl Operator for Person {
 /// Commands of an arm with its positions at that time; times of its resets and stops.
 #[derive(Default)]
 struct Noted {
-    told: Vec<(f64, JointCommand, Option<JointState>)>,
+    troubles: Vec<(f64, JointCommand, Option<JointState>)>,
     resets_s: Vec<f64>,
     stops_s: Vec<f64>,
 }
 
 /// An arm with an emergency stop, which is pressed during a period, and latches even if that is short.
 struct Stoppable {
-    inner: Box<dyn DrivenArm>,
+    inner: Box<dyn ArmControl>,
     clock: Arc<dyn Clock>,
     pressed: Vec<(f64, f64)>,
     /// Time up to which a reset clears the pressed stops.
@@ -108,7 +108,7 @@ struct Stoppable {
 }
 
 impl Stoppable {
-    fn new(inner: Box<dyn DrivenArm>, clock: &Arc<dyn Clock>, pressed: &[(f64, f64)]) -> Self {
+    fn new(inner: Box<dyn ArmControl>, clock: &Arc<dyn Clock>, pressed: &[(f64, f64)]) -> Self {
         let (clock, pressed) = (Arc::clone(clock), pressed.to_vec());
         Self {
             inner,
@@ -148,7 +148,7 @@ impl Arm for Stoppable {
         let is_latched = self.is_latched();
         let is_refused = (self.refuses.0..self.refuses.1).contains(&self.now_s()) && command != JointCommand::Hold;
         let measured = self.inner.exchange(if is_latched || is_refused { JointCommand::Hold } else { command });
-        self.noted.lock().unwrap().told.push((self.now_s(), command, measured.as_ref().ok().copied()));
+        self.noted.lock().unwrap().troubles.push((self.now_s(), command, measured.as_ref().ok().copied()));
         if is_refused {
             return Err(ArmError::new(ArmErrorKind::Rejected, "too little room, says the test"));
         }
@@ -191,7 +191,7 @@ impl ArmPower for Stoppable {
     }
 }
 
-impl DrivenArm for Stoppable {
+impl ArmControl for Stoppable {
     fn statistics(&self) -> LimiterStatistics {
         self.inner.statistics()
     }
@@ -201,7 +201,7 @@ impl DrivenArm for Stoppable {
 #[derive(Clone, Default)]
 struct Scene {
     /// Commands at these times, seconds.
-    words: Vec<(f64, OperatorCommand)>,
+    commands: Vec<(f64, OperatorCommand)>,
     /// The emergency stop of the hand's arm, seconds.
     pressed: Vec<(f64, f64)>,
     /// When the operator's heartbeat ends, seconds.
@@ -217,7 +217,7 @@ struct Scene {
 }
 
 /// A finished run, with its records: by arm, the one with the cameras first.
-struct Seen {
+struct RunResult {
     setup: Setup,
     ended: Ended,
     noted: [Arc<Mutex<Noted>>; 2],
@@ -229,12 +229,12 @@ struct Seen {
 const NAMES: [&str; 2] = ["vs-robot", "tc-robot"];
 
 impl Scene {
-    fn run(self, until_s: f64) -> Seen {
+    fn run(self, until_s: f64) -> RunResult {
         let setup = setup();
         let parts = wire(&setup).unwrap();
         let trouble = Arc::<Mutex<Vec<String>>>::default();
-        let Self { words, pressed, silent, resets_late_s, tc_stops_failing, refuse, tc_enables_again_s } = self;
-        let operator = Box::new(Person { words, silent, resets_late_s, told: Arc::clone(&trouble) });
+        let Self { commands, pressed, silent, resets_late_s, tc_stops_failing, refuse, tc_enables_again_s } = self;
+        let operator = Box::new(Person { commands, silent, resets_late_s, troubles: Arc::clone(&trouble) });
         let flights = parts.flights.clone().map(|(_, flight)| flight);
         let vs = Stoppable { refuses: refuse[0], ..Stoppable::new(parts.vs, &parts.clock, &pressed) };
         let tc = Stoppable::new(parts.tc, &parts.clock, &[]);
@@ -248,11 +248,11 @@ impl Scene {
         let parts = Parts { vs: Box::new(vs), tc: Box::new(tc), operator, ..parts };
         let ended = conduct(&setup, parts, Some(until_s), None).unwrap();
         let trouble = trouble.lock().unwrap().clone();
-        Seen { setup, ended, noted, flights, trouble }
+        RunResult { setup, ended, noted, flights, trouble }
     }
 }
 
-impl Seen {
+impl RunResult {
     fn transitions(&self) -> Vec<TransitionNote> {
         self.ended.outcome.log.supervision.summary().transitions
     }
@@ -266,7 +266,7 @@ impl Seen {
     fn rests(&self, from_s: f64, until_s: f64) {
         for (noted, name) in self.noted.iter().zip(NAMES) {
             let noted = noted.lock().unwrap();
-            let inside: Vec<_> = noted.told.iter().filter(|(at_s, ..)| (from_s..until_s).contains(at_s)).collect();
+            let inside: Vec<_> = noted.troubles.iter().filter(|(at_s, ..)| (from_s..until_s).contains(at_s)).collect();
             assert!(!inside.is_empty(), "{name} has samples");
             for (at_s, command, measured) in inside {
                 let is_rest = match command {
@@ -285,7 +285,7 @@ impl Seen {
     fn braking_s(&self, stopped_s: f64, arms: &[usize]) -> f64 {
         let braking_s = arms.iter().map(|&arm| {
             let noted = self.noted[arm].lock().unwrap();
-            let before = noted.told.iter().rev().filter(|(at_s, ..)| *at_s < stopped_s - 1e-6);
+            let before = noted.troubles.iter().rev().filter(|(at_s, ..)| *at_s < stopped_s - 1e-6);
             let joints = before.filter_map(|(.., measured)| *measured).next().unwrap();
             let speed = joints.velocity_rad_per_s.amax();
             assert!(speed > MOVING_RAD_PER_S, "{} has {speed} rad/s at {stopped_s} s", NAMES[arm]);
@@ -360,48 +360,50 @@ const BEGIN: [(f64, OperatorCommand); 2] = [(0.1, OperatorCommand::Select), (0.6
 
 /// Starts a run and gives these commands; the emergency stop of the hand's arm is pressed in these periods.
 fn scene(more: &[(f64, OperatorCommand)], pressed: &[(f64, f64)]) -> Scene {
-    let words = BEGIN.iter().chain(more).copied().collect();
-    Scene { words, pressed: pressed.to_vec(), ..Scene::default() }
+    let commands = BEGIN.iter().chain(more).copied().collect();
+    Scene { commands, pressed: pressed.to_vec(), ..Scene::default() }
 }
 
 #[test]
-fn where_a_person_leads_nothing_moves_before_the_word() {
-    for words in [
+fn where_a_person_leads_nothing_moves_before_the_command() {
+    for commands in [
         vec![],
         vec![(0.1, OperatorCommand::Select)],
         vec![(0.1, OperatorCommand::Start), (0.2, OperatorCommand::Resume), (0.3, OperatorCommand::Reset)],
     ] {
-        let is_selected = words.contains(&(0.1, OperatorCommand::Select));
-        let seen = Scene { words, ..Scene::default() }.run(4.0);
-        seen.rests(0.0, 4.0);
-        assert_eq!(seen.transitions().len(), usize::from(is_selected), "{:?}", seen.transitions());
+        let is_selected = commands.contains(&(0.1, OperatorCommand::Select));
+        let run = Scene { commands, ..Scene::default() }.run(4.0);
+        run.rests(0.0, 4.0);
+        assert_eq!(run.transitions().len(), usize::from(is_selected), "{:?}", run.transitions());
     }
 }
 
 #[test]
 fn a_person_selects_starts_holds_and_resumes() {
-    let seen = scene(&[], &[]).run(4.0);
-    seen.begins_where_it_is(0.5, &[0, 1]);
-    let seen = scene(&[(3.0, OperatorCommand::Hold), (5.0, OperatorCommand::Resume)], &[]).run(8.0);
-    let transitions = seen.transitions();
+    let run = scene(&[], &[]).run(4.0);
+    run.begins_where_it_is(0.5, &[0, 1]);
+    let run = scene(&[(3.0, OperatorCommand::Hold), (5.0, OperatorCommand::Resume)], &[]).run(8.0);
+    let transitions = run.transitions();
     let names: Vec<&str> = transitions.iter().map(|note| note.event).filter(|event| *event != "left").collect();
     assert_eq!(names[..2], ["select", "start"]);
     assert!(names.contains(&"hold") && names.contains(&"resume"), "{names:?}");
-    seen.stops(3.0, 5.0);
-    seen.begins_where_it_is(4.9, &[0, 1]);
-    seen.ends_following();
+    run.stops(3.0, 5.0);
+    run.begins_where_it_is(4.9, &[0, 1]);
+    run.ends_following();
 }
 
 #[test]
 fn hold_hand_lets_the_arm_with_the_target_move_on() {
-    let seen = scene(&[(3.0, OperatorCommand::HoldHand)], &[]).run(4.0);
-    let rested_s = 3.0 + seen.braking_s(3.0, &[0]);
-    let [vs, tc] = [0, 1].map(|arm| seen.noted[arm].lock().unwrap());
-    assert!(vs.told.iter().filter(|(at_s, ..)| *at_s > rested_s).all(|(_, command, _)| *command == JointCommand::Hold));
-    let mut moving = tc.told.iter().filter(|(at_s, ..)| (2.2..3.9).contains(at_s));
+    let run = scene(&[(3.0, OperatorCommand::HoldHand)], &[]).run(4.0);
+    let rested_s = 3.0 + run.braking_s(3.0, &[0]);
+    let [vs, tc] = [0, 1].map(|arm| run.noted[arm].lock().unwrap());
+    assert!(
+        vs.troubles.iter().filter(|(at_s, ..)| *at_s > rested_s).all(|(_, command, _)| *command == JointCommand::Hold)
+    );
+    let mut moving = tc.troubles.iter().filter(|(at_s, ..)| (2.2..3.9).contains(at_s));
     assert!(moving.all(|(_, command, _)| matches!(command, JointCommand::Velocity(_))));
     drop((vs, tc));
-    seen.ends_in("holding");
+    run.ends_in("holding");
 }
 
 #[test]
@@ -412,44 +414,44 @@ fn a_reset_is_refused_while_the_emergency_stop_is_pressed_and_leads_on_behind_it
         (5.0, OperatorCommand::Select),
         (6.0, OperatorCommand::Start),
     ];
-    let seen = scene(&more, &[(3.0, 4.0)]).run(9.0);
-    assert!((seen.times_of("fault-found")[0] - 3.0).abs() < 0.03, "{:?}", seen.transitions());
-    let [reset_s] = seen.times_of("reset")[..] else { panic!("one reset is obeyed: {:?}", seen.transitions()) };
+    let run = scene(&more, &[(3.0, 4.0)]).run(9.0);
+    assert!((run.times_of("fault-found")[0] - 3.0).abs() < 0.03, "{:?}", run.transitions());
+    let [reset_s] = run.times_of("reset")[..] else { panic!("one reset is obeyed: {:?}", run.transitions()) };
     assert!((reset_s - 4.5).abs() < 0.03, "{reset_s}");
-    assert!(seen.trouble.iter().any(|trouble| trouble.contains("vs-robot: reset")), "{:?}", seen.trouble);
-    seen.stops(3.0, 6.0);
-    seen.begins_where_it_is(5.9, &[0, 1]);
-    seen.ends_following();
+    assert!(run.trouble.iter().any(|trouble| trouble.contains("vs-robot: reset")), "{:?}", run.trouble);
+    run.stops(3.0, 6.0);
+    run.begins_where_it_is(5.9, &[0, 1]);
+    run.ends_following();
 }
 
 #[test]
 fn a_released_emergency_stop_starts_nothing_by_itself() {
-    let seen = scene(&[], &[(3.0, 4.0)]).run(8.0);
-    seen.stops(3.0, 8.0);
-    seen.ends_in("fault");
-    assert!(seen.ended.how.is_ok(), "with an operator a fault does not end the run");
+    let run = scene(&[], &[(3.0, 4.0)]).run(8.0);
+    run.stops(3.0, 8.0);
+    run.ends_in("fault");
+    assert!(run.ended.how.is_ok(), "with an operator a fault does not end the run");
 }
 
 #[test]
 fn a_start_behind_an_emergency_stop_without_a_selection_is_refused() {
-    let seen = scene(
+    let run = scene(
         &[(4.5, OperatorCommand::Reset), (5.0, OperatorCommand::Start), (5.5, OperatorCommand::Resume)],
         &[(3.0, 4.0)],
     )
     .run(8.0);
-    seen.stops(3.0, 8.0);
-    seen.ends_in("idle");
+    run.stops(3.0, 8.0);
+    run.ends_in("idle");
 }
 
 #[test]
 fn a_selection_in_a_fault_is_refused() {
-    let seen = scene(&[(4.5, OperatorCommand::Select), (5.0, OperatorCommand::Start)], &[(3.0, 4.0)]).run(7.0);
-    seen.stops(3.0, 7.0);
-    seen.ends_in("fault");
+    let run = scene(&[(4.5, OperatorCommand::Select), (5.0, OperatorCommand::Start)], &[(3.0, 4.0)]).run(7.0);
+    run.stops(3.0, 7.0);
+    run.ends_in("fault");
 }
 
 #[test]
-fn a_stop_by_word_lasts_until_reset_selection_and_start() {
+fn a_commanded_stop_lasts_until_reset_selection_and_start() {
     let more = [
         (3.0, OperatorCommand::Stop),
         (4.0, OperatorCommand::Start),
@@ -457,117 +459,121 @@ fn a_stop_by_word_lasts_until_reset_selection_and_start() {
         (5.0, OperatorCommand::Select),
         (6.0, OperatorCommand::Start),
     ];
-    let seen = scene(&more, &[]).run(9.0);
-    seen.stops(3.0, 6.0);
-    seen.begins_where_it_is(5.9, &[0, 1]);
-    seen.ends_following();
+    let run = scene(&more, &[]).run(9.0);
+    run.stops(3.0, 6.0);
+    run.begins_where_it_is(5.9, &[0, 1]);
+    run.ends_following();
 }
 
 #[test]
 fn a_person_who_falls_silent_and_speaks_again_has_to_reset() {
     let silent = Scene { silent: (2.0, 4.0), ..scene(&[], &[]) };
-    let seen = silent.clone().run(8.0);
-    seen.ends_in("stopped");
-    let [stopped_s] = seen.times_of("stop-found")[..] else { panic!("{:?}", seen.transitions()) };
+    let run = silent.clone().run(8.0);
+    run.ends_in("stopped");
+    let [stopped_s] = run.times_of("stop-found")[..] else { panic!("{:?}", run.transitions()) };
     assert!(stopped_s > 2.9 && stopped_s < 3.2, "{stopped_s}");
-    seen.stops(stopped_s, 8.0);
+    run.stops(stopped_s, 8.0);
     let again = [(6.0, OperatorCommand::Reset), (6.5, OperatorCommand::Select), (7.5, OperatorCommand::Start)];
-    let words = silent.words.iter().chain(&again).copied().collect();
-    let seen = Scene { words, ..silent }.run(10.0);
-    seen.stops(stopped_s, 7.5);
-    seen.begins_where_it_is(7.4, &[0, 1]);
-    seen.ends_following();
+    let commands = silent.commands.iter().chain(&again).copied().collect();
+    let run = Scene { commands, ..silent }.run(10.0);
+    run.stops(stopped_s, 7.5);
+    run.begins_where_it_is(7.4, &[0, 1]);
+    run.ends_following();
 }
 
 #[test]
 fn a_second_emergency_stop_behind_the_reset_stops_again() {
     let more = [(4.5, OperatorCommand::Reset), (5.0, OperatorCommand::Select), (6.0, OperatorCommand::Start)];
     // The stop is pressed again while both arms wait for the start.
-    let seen = scene(&more, &[(3.0, 4.0), (5.5, 7.0)]).run(9.0);
-    seen.stops(3.0, 9.0);
-    assert_eq!(seen.times_of("fault-found").len(), 2, "{:?}", seen.transitions());
-    seen.ends_in("fault");
+    let run = scene(&more, &[(3.0, 4.0), (5.5, 7.0)]).run(9.0);
+    run.stops(3.0, 9.0);
+    assert_eq!(run.times_of("fault-found").len(), 2, "{:?}", run.transitions());
+    run.ends_in("fault");
     // And while they move.
     let more = [(3.5, OperatorCommand::Reset), (4.0, OperatorCommand::Select), (4.5, OperatorCommand::Start)];
-    let seen = scene(&more, &[(2.8, 3.0), (5.2, 6.0)]).run(8.0);
-    seen.stops(2.8, 4.5);
-    let [_, again_s] = seen.times_of("fault-found")[..] else { panic!("{:?}", seen.transitions()) };
-    seen.stops(again_s, 8.0);
-    seen.ends_in("fault");
+    let run = scene(&more, &[(2.8, 3.0), (5.2, 6.0)]).run(8.0);
+    run.stops(2.8, 4.5);
+    let [_, again_s] = run.times_of("fault-found")[..] else { panic!("{:?}", run.transitions()) };
+    run.stops(again_s, 8.0);
+    run.ends_in("fault");
 }
 
 #[test]
-fn a_reset_that_was_said_too_early_clears_no_arm() {
+fn a_reset_that_was_given_too_early_clears_no_arm() {
     // Given too long ago, and given before the emergency stop.
     for (reset_s, resets_late_s, pressed, why) in [
         (4.5, 1.0, (3.0, 3.2), "the request is 1.000 s old"),
         (3.2, 0.4, (3.0, 3.05), "before the state changed to fault"),
     ] {
-        let seen = Scene { resets_late_s, ..scene(&[(reset_s, OperatorCommand::Reset)], &[pressed]) }.run(6.0);
-        for noted in &seen.noted {
+        let run = Scene { resets_late_s, ..scene(&[(reset_s, OperatorCommand::Reset)], &[pressed]) }.run(6.0);
+        for noted in &run.noted {
             assert!(noted.lock().unwrap().resets_s.is_empty(), "{why}: an arm was reset");
         }
-        assert!(seen.trouble.iter().any(|told| told.contains(why)), "{:?}", seen.trouble);
-        seen.stops(3.0, 6.0);
-        seen.ends_in("fault");
+        assert!(run.trouble.iter().any(|troubles| troubles.contains(why)), "{:?}", run.trouble);
+        run.stops(3.0, 6.0);
+        run.ends_in("fault");
     }
 }
 
 /// An emergency stop so short that it is over when the step comes in which the second reset arrives.
 #[test]
-fn a_reset_clears_nothing_that_the_supervisor_has_not_seen() {
+fn a_reset_clears_nothing_that_the_supervisor_has_not_observed() {
     let more = [(4.5, OperatorCommand::Reset), (5.003, OperatorCommand::Reset)];
-    let seen = scene(&more, &[(3.0, 4.0), (5.002, 5.006)]).run(7.0);
-    assert_eq!(seen.noted[0].lock().unwrap().resets_s.len(), 1, "the second one clears nothing");
-    assert_eq!(seen.times_of("fault-found").len(), 2, "{:?}", seen.transitions());
-    seen.ends_in("fault");
+    let run = scene(&more, &[(3.0, 4.0), (5.002, 5.006)]).run(7.0);
+    assert_eq!(run.noted[0].lock().unwrap().resets_s.len(), 1, "the second one clears nothing");
+    assert_eq!(run.times_of("fault-found").len(), 2, "{:?}", run.transitions());
+    run.ends_in("fault");
     // The same while both arms are stopped by a command.
-    let seen = scene(&[(3.0, OperatorCommand::Stop), (5.003, OperatorCommand::Reset)], &[(5.002, 5.006)]).run(7.0);
-    assert!(seen.noted[0].lock().unwrap().resets_s.is_empty());
-    seen.ends_in("fault");
-    let seen = scene(
+    let run = scene(&[(3.0, OperatorCommand::Stop), (5.003, OperatorCommand::Reset)], &[(5.002, 5.006)]).run(7.0);
+    assert!(run.noted[0].lock().unwrap().resets_s.is_empty());
+    run.ends_in("fault");
+    let run = scene(
         &[(3.0, OperatorCommand::Stop), (5.003, OperatorCommand::Reset), (6.0, OperatorCommand::Reset)],
         &[(5.002, 5.006)],
     )
     .run(7.0);
-    seen.ends_in("idle");
+    run.ends_in("idle");
 }
 
 #[test]
 fn a_stop_that_fails_is_tried_again_and_nothing_is_reset_before() {
     let more = [(3.2, OperatorCommand::Reset), (4.5, OperatorCommand::Reset)];
-    let seen = Scene { tc_stops_failing: 4, ..scene(&more, &[(3.0, 3.1)]) }.run(6.0);
-    seen.stops(3.0, 6.0);
-    let [vs, tc] = [0, 1].map(|arm| seen.noted[arm].lock().unwrap());
+    let run = Scene { tc_stops_failing: 4, ..scene(&more, &[(3.0, 3.1)]) }.run(6.0);
+    run.stops(3.0, 6.0);
+    let [vs, tc] = [0, 1].map(|arm| run.noted[arm].lock().unwrap());
     // The last one is that of the run.
     assert_eq!(tc.stops_s.len(), 6, "{:?}", tc.stops_s);
     let pauses: Vec<f64> = tc.stops_s.windows(2).map(|pair| pair[1] - pair[0]).take(4).collect();
     assert!(pauses.iter().all(|pause_s| (0.09..0.35).contains(pause_s)), "{pauses:?}");
     assert!(vs.resets_s.len() == 1 && vs.resets_s[0] > 4.4, "{:?}", vs.resets_s);
-    assert!(seen.trouble[0].contains("the emergency stop of the test"), "the first trouble: {:?}", seen.trouble);
-    assert!(!seen.trouble.iter().any(|told| told.contains("the stop was not heard")), "{:?}", seen.trouble);
+    assert!(run.trouble[0].contains("the emergency stop of the test"), "the first trouble: {:?}", run.trouble);
+    assert!(!run.trouble.iter().any(|troubles| troubles.contains("the stop was not heard")), "{:?}", run.trouble);
     let refused = "reset refused: the drives of tc-robot are still enabled";
-    assert!(seen.trouble.iter().any(|told| told.contains(refused)), "{:?}", seen.trouble);
+    assert!(run.trouble.iter().any(|troubles| troubles.contains(refused)), "{:?}", run.trouble);
     drop((vs, tc));
-    seen.ends_in("idle");
+    run.ends_in("idle");
 }
 
 /// With either arm, both hold until the operator resumes, and both exchange data in each step.
 #[test]
 fn a_command_that_an_arm_refuses_is_a_hold_until_resume() {
     for refuse in [[(3.0, 3.02), (0.0, 0.0)], [(0.0, 0.0), (3.0, 3.02)]] {
-        let seen = Scene { refuse, ..scene(&[(5.0, OperatorCommand::Resume)], &[]) }.run(7.0);
-        assert!(seen.ended.how.is_ok(), "{:?}", seen.ended.how);
-        assert!(seen.trouble.iter().any(|told| told.contains("too little room, says the test")), "{:?}", seen.trouble);
-        let (held, resumed) = (seen.times_of("hold"), seen.times_of("resume"));
-        assert!(held.len() == 1 && (3.0..3.03).contains(&held[0]), "{:?}", seen.transitions());
-        assert!(resumed.len() == 1 && (4.99..5.02).contains(&resumed[0]), "{:?}", seen.transitions());
-        let [vs, tc] = [0, 1].map(|arm| seen.noted[arm].lock().unwrap());
-        assert_eq!(vs.told.len(), tc.told.len(), "both arms get a command in each step");
-        let held = vs.told.iter().chain(&tc.told).filter(|(at_s, ..)| (3.03..4.99).contains(at_s));
+        let run = Scene { refuse, ..scene(&[(5.0, OperatorCommand::Resume)], &[]) }.run(7.0);
+        assert!(run.ended.how.is_ok(), "{:?}", run.ended.how);
+        assert!(
+            run.trouble.iter().any(|troubles| troubles.contains("too little room, says the test")),
+            "{:?}",
+            run.trouble
+        );
+        let (held, resumed) = (run.times_of("hold"), run.times_of("resume"));
+        assert!(held.len() == 1 && (3.0..3.03).contains(&held[0]), "{:?}", run.transitions());
+        assert!(resumed.len() == 1 && (4.99..5.02).contains(&resumed[0]), "{:?}", run.transitions());
+        let [vs, tc] = [0, 1].map(|arm| run.noted[arm].lock().unwrap());
+        assert_eq!(vs.troubles.len(), tc.troubles.len(), "both arms get a command in each step");
+        let held = vs.troubles.iter().chain(&tc.troubles).filter(|(at_s, ..)| (3.03..4.99).contains(at_s));
         assert!(held.clone().count() > 300 && held.clone().all(|(_, command, _)| *command == JointCommand::Hold));
         drop((vs, tc));
-        seen.ends_in("tracking");
+        run.ends_in("tracking");
     }
 }
 
@@ -583,7 +589,7 @@ fn a_fault_that_ends_a_run_is_on_top_of_its_report() {
     assert!(text.contains("vs-robot") && text.contains("the emergency stop of the test"), "{text}");
     assert!(outcome.log.control.len() > 290, "{} steps", outcome.log.control.len());
     let folder = tempfile::tempdir().unwrap();
-    let failed = report::tell(folder.path(), &setup, &Made::default(), &outcome, Err(failure), |_| Ok(()));
+    let failed = report::write_report(folder.path(), &setup, &Made::default(), &outcome, Err(failure), |_| Ok(()));
     assert_eq!(format!("{:#}", failed.unwrap_err()), text);
     let page = std::fs::read_to_string(folder.path().join("report.html")).unwrap();
     let place = |text: &str| page.find(text).unwrap_or_else(|| panic!("{text} is not in the report"));

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use pb3dp_cell::cell::SimulatedCell;
 use pb3dp_cell::halves::Mover;
-use pb3dp_cell::moving::{Moved, Moving};
+use pb3dp_cell::moving::{Moving, StepRecord};
 use pb3dp_cell::parts::Parts;
 use pb3dp_cell::percept::Percept;
 use pb3dp_cell::{experiment, swing};
@@ -76,7 +76,7 @@ impl<'a> Bench<'a> {
         bench
     }
 
-    fn step(&mut self) -> Moved {
+    fn step(&mut self) -> StepRecord {
         let now = self.clock.now() + self.setup.control_period;
         self.clock.sleep_until(now);
         self.steps += 1;
@@ -105,13 +105,13 @@ impl<'a> Bench<'a> {
         moved
     }
 
-    fn run(&mut self, seconds: f64) -> Moved {
+    fn run(&mut self, seconds: f64) -> StepRecord {
         let steps = (seconds / self.setup.control_period.as_secs_f64()).round() as usize;
         (0..steps).map(|_| self.step()).last().unwrap()
     }
 
     /// Runs; the hand's arm must not move.
-    fn rests_for(&mut self, seconds: f64) -> Moved {
+    fn rests_for(&mut self, seconds: f64) -> StepRecord {
         self.fastest_rad_per_s = 0.0;
         let moved = self.run(seconds);
         assert!(self.fastest_rad_per_s < AT_REST_RAD_PER_S, "{} rad/s: {}", self.fastest_rad_per_s, moved.decision.why);
@@ -189,7 +189,7 @@ const SEARCH: SearchConfig =
     SearchConfig { back_m: 0.03, radius_m: 0.02, turns: 2.0, speed_m_per_s: 0.02, time_s: 30.0 };
 
 /// A hand whose target is lost while images continue: its distance from the position of its hold, and its speed, for this time.
-fn hand_after_loss(bench: &mut Bench<'_>, begin: Pose<World, Hand>, until_s: f64) -> (f64, f64, Moved) {
+fn hand_after_loss(bench: &mut Bench<'_>, begin: Pose<World, Hand>, until_s: f64) -> (f64, f64, StepRecord) {
     let at = |bench: &Bench<'_>| bench.cell.world_from_hand_at(bench.clock.now());
     let (mut before, mut farthest_m, mut fastest_m_per_s, mut last) = (at(bench), 0.0f64, 0.0f64, None);
     for _ in 0..(until_s / bench.setup.control_period.as_secs_f64()) as usize {
@@ -273,7 +273,7 @@ fn a_search_ends_when_the_target_is_found_and_when_anything_else_is_wrong() {
 }
 
 #[test]
-fn nothing_moves_while_the_target_was_never_seen() {
+fn nothing_moves_before_the_target_was_observed() {
     let setup = setup();
     let Parts { clock, vs, tc, cell, experiment, .. } = wire(&setup).unwrap();
     let mut moving = Moving::new(&setup, (vs, tc), &*experiment, clock.now()).unwrap();
@@ -324,8 +324,8 @@ fn an_arm_that_does_not_answer_holds_the_other_one_too_and_its_way_waits() {
     let parts = wire(&setup).unwrap();
     let experiment = parts.experiment.clone();
     let is_mute = Arc::new(AtomicBool::new(false));
-    let said = Arc::clone(&is_mute);
-    let parts = with_losses(parts, move |_| said.load(Ordering::SeqCst));
+    let is_silent = Arc::clone(&is_mute);
+    let parts = with_losses(parts, move |_| is_silent.load(Ordering::SeqCst));
     let mut bench = Bench::following(&setup, parts, &*experiment);
     let tc = |bench: &Bench<'_>| bench.cell.tc.joints.simulated().unwrap().lock().unwrap().state();
     let before = tc(&bench);

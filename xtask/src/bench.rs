@@ -150,16 +150,16 @@ fn speed(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
 
 /// Commit, processor and compiler as a line for a page.
 pub fn origin(workspace: &Workspace) -> String {
-    let said = |program: &str, args: &[&str]| workspace.output_of(program, args);
+    let output_text = |program: &str, args: &[&str]| workspace.output_of(program, args);
     let known = |found: Option<String>, what: &str| found.unwrap_or_else(|| format!("unknown{what}"));
-    let commit: String = known(said("git", &["rev-parse", "HEAD"]), "").chars().take(12).collect();
-    let is_changed = said("git", &["status", "--porcelain"]).is_some_and(|changes| !changes.is_empty());
+    let commit: String = known(output_text("git", &["rev-parse", "HEAD"]), "").chars().take(12).collect();
+    let is_changed = output_text("git", &["status", "--porcelain"]).is_some_and(|changes| !changes.is_empty());
     let processor = std::fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| processor_name(&text));
     format!(
         "Commit {commit}{}; {}; {}.",
         if is_changed { "  with uncommitted changes" } else { "" },
         known(processor, " processor"),
-        known(said("rustc", &["--version"]), " compiler"),
+        known(output_text("rustc", &["--version"]), " compiler"),
     )
 }
 

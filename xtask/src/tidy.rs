@@ -62,7 +62,6 @@ fn check_text(file: &SourceFile, files: &[String]) -> Vec<Violation> {
         violations.extend(markdown::check(path, text));
         violations.extend(links::check(path, text, files));
     }
-    if path == "Cargo.toml" {}
     if path.ends_with("/Cargo.toml") {
         violations.extend(layout::manifest(path, text));
         violations.extend(layout::readme(path, text, files));

@@ -266,7 +266,8 @@ fn watch(machine: &mut Machine, suite: &Suite, shows_console: bool, tally: &mut 
             println!("{:8} | {line}", suite.name);
         }
         // Output of the kernel may stand before it. The guest's `report.rs` has the same words.
-        let (word, text) = line.split_once("vm: ").and_then(|(_, said)| said.split_once(' ')).unwrap_or_default();
+        let (word, text) =
+            line.split_once("vm: ").and_then(|(_, output_text)| output_text.split_once(' ')).unwrap_or_default();
         match word {
             "passed" => {
                 *passed += 1;

@@ -25,7 +25,7 @@ pub enum BagError {
         #[source]
         source: std::io::Error,
     },
-    /// A path that is no regular file.
+    /// A path that is not a regular file.
     #[error("{}: {refused}", file.display())]
     Refused {
         /// The path.

@@ -158,7 +158,7 @@ message! {
 message! {
     /// A command of the operator.
     #[derive(Eq)]
-    Said = "pb3dp_msgs/Said" {
+    OperatorEntry = "pb3dp_msgs/Said" {
         /// The command.
         word: String,
         /// When it was given.
@@ -179,7 +179,7 @@ message! {
         /// The result of a pair that this step is the first to use.
         observed: Vec<Observed>,
         /// The command of the operator.
-        said: Vec<Said>,
+        said: Vec<OperatorEntry>,
         /// Last sign of life of the operator.
         heard_at_nanos: Vec<u64>,
         /// Longest silence of this operator.

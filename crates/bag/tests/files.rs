@@ -269,11 +269,11 @@ fn what_is_no_recording_is_refused_by_name() {
     assert!(matches!(Bag::open(&bag), Err(BagError::NoMcap { .. })));
     std::fs::write(bag.join("bag_0.db3"), "").unwrap();
     assert!(matches!(Bag::open(&bag), Err(BagError::Sqlite { .. })));
-    let words = dir.path().join("words.mcap");
-    let mut only_words = writer(&words);
-    only_words.push(ours::VERSION, at(0), &Text { data: "pb3dp".to_owned() });
-    only_words.finish().unwrap();
-    let error = StereoBag::open(&words, PairOptions::default()).unwrap_err();
+    let text_only = dir.path().join("words.mcap");
+    let mut only_text = writer(&text_only);
+    only_text.push(ours::VERSION, at(0), &Text { data: "pb3dp".to_owned() });
+    only_text.finish().unwrap();
+    let error = StereoBag::open(&text_only, PairOptions::default()).unwrap_err();
     assert!(error.to_string().contains("two topics with images are needed"), "{error}");
     let missing = StereoBag::open(&dir.path().join("nothing.mcap"), PairOptions::default()).unwrap_err();
     assert!(matches!(missing, BagError::Io { .. }), "{missing}");

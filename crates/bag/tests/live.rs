@@ -112,7 +112,7 @@ impl Viewer {
 }
 
 /// Pushes lines until a viewer has one: then its subscription is there.
-fn until_seen(sinks: &mut Sinks, viewer: &mut Viewer) {
+fn until_received(sinks: &mut Sinks, viewer: &mut Viewer) {
     viewer.socket.get_ref().set_read_timeout(Some(Duration::from_millis(20))).unwrap();
     let began = Instant::now();
     loop {
@@ -158,7 +158,7 @@ fn a_viewer_gets_what_describes_the_run_and_then_every_message_as_in_the_file() 
     std::thread::sleep(Duration::from_millis(200));
     sinks.push(LINE, at(201), &text("not subscribed any more"));
     sinks.push(ours::LEFT_IMAGE, at(202), &image_of(900_000, 8));
-    let (topic, time, seen) = viewer.message();
+    let (topic, time, received) = viewer.message();
     assert_eq!((topic.as_str(), time), (ours::LEFT_IMAGE, at(202).as_nanos()));
     sinks.keep(&files[1]).unwrap();
     let finished = sinks.finish();
@@ -167,7 +167,7 @@ fn a_viewer_gets_what_describes_the_run_and_then_every_message_as_in_the_file() 
     assert_eq!(finished.kept[0].as_ref().unwrap().messages, 105);
     for file in files {
         let last = Bag::open(&file).unwrap().messages().last().unwrap().unwrap();
-        assert_eq!((last.sequence, last.data), (2, seen.clone()));
+        assert_eq!((last.sequence, last.data), (2, received.clone()));
     }
     viewer.ends();
 }
@@ -187,7 +187,7 @@ fn a_hostile_client_ends_its_own_connection_only() {
     let mut sinks = sinks();
     sinks.push(LINE, at(0), &text("first"));
     let mut good = viewer(&sinks, &[LINE]);
-    until_seen(&mut sinks, &mut good);
+    until_received(&mut sinks, &mut good);
     let address = sinks.live().unwrap().address();
     for garbage in [&b"\x00\xff\x13\x37 garbage\r\n\r\n"[..], b"GET / HTTP/1.1\r\n\r\n", &[b'a'; 200_000]] {
         let mut stream = TcpStream::connect(address).unwrap();
@@ -221,8 +221,8 @@ fn a_hostile_client_ends_its_own_connection_only() {
     odd.socket.send(Message::binary(vec![1; 50_000])).unwrap();
     odd.send(&serde_json::json!({"op": "setParameters", "parameters": [{"name": "x", "value": 1}]}));
     odd.send(&serde_json::json!({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 99}, {"id": 2, "channelId": 0}]}));
-    until_seen(&mut sinks, &mut odd);
-    until_seen(&mut sinks, &mut good);
+    until_received(&mut sinks, &mut odd);
+    until_received(&mut sinks, &mut good);
     sinks.push(LINE, at(9), &text("still here"));
     assert_eq!(good.line(), "still here");
     while odd.line() != "still here" {}
@@ -260,7 +260,7 @@ fn a_client_that_asks_and_does_not_read_is_disconnected_and_takes_no_time() {
     }
     assert_eq!(sinks.live().unwrap().viewers(), 0);
     let mut good = viewer(&sinks, &[LINE]);
-    until_seen(&mut sinks, &mut good);
+    until_received(&mut sinks, &mut good);
 }
 
 #[test]
@@ -275,14 +275,14 @@ fn connections_too_many_are_closed_and_the_others_stay() {
         std::thread::sleep(Duration::from_millis(10));
     }
     assert_eq!(sinks.live().unwrap().viewers(), 16);
-    until_seen(&mut sinks, &mut good);
+    until_received(&mut sinks, &mut good);
     drop(many);
     let began = Instant::now();
     while sinks.live().unwrap().viewers() > 1 && began.elapsed() < Duration::from_secs(5) {
         std::thread::sleep(Duration::from_millis(10));
     }
     let mut later = viewer(&sinks, &[LINE]);
-    until_seen(&mut sinks, &mut later);
+    until_received(&mut sinks, &mut later);
 }
 
 /// Images of 900 kB with a line each, at 60 Hz: what a pair of cameras delivers. The times of the caller, sorted, microseconds.
@@ -318,7 +318,7 @@ fn viewers_that_read_nothing_hold_nobody_up() {
     }
     // One that reads gets every line meanwhile.
     let mut good = viewer(&sinks, &[LINE]);
-    until_seen(&mut sinks, &mut good);
+    until_received(&mut sinks, &mut good);
     times_of_caller(&mut sinks, 100);
     for k in 0..100 {
         assert_eq!(good.line(), k.to_string());

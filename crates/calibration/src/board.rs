@@ -250,7 +250,7 @@ impl Board {
 
     /// Whether the orientation of the board is unique: by its markers, or by the colours of its squares if one number of corners
     /// is odd and the other even.
-    pub fn is_told_from_its_half_turn(&self) -> bool {
+    pub fn has_unique_orientation(&self) -> bool {
         !matches!(self.pattern, Pattern::Chessboard { .. }) || (self.columns + self.rows) % 2 == 1
     }
 }
@@ -317,7 +317,7 @@ mod tests {
         assert!(text(7, 7, 0.025).is_err_and(|text| text.contains("quarter turn")));
         let board = Chessboard::new(9, 6, 0.025).expect("a board");
         assert_eq!(board.corner_in_board(8, 5), Point3::new(0.2, 0.125, 0.0));
-        assert!(board.is_told_from_its_half_turn());
-        assert!(!Chessboard::new(6, 4, 0.03).expect("a board").is_told_from_its_half_turn());
+        assert!(board.has_unique_orientation());
+        assert!(!Chessboard::new(6, 4, 0.03).expect("a board").has_unique_orientation());
     }
 }

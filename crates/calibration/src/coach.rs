@@ -8,7 +8,7 @@ use std::fmt;
 use nalgebra::Vector2;
 
 use crate::gates::{COVERAGE, Limits, VIEWS};
-use crate::selection::seen;
+use crate::selection::covered;
 use crate::stand::{CELLS, Cells, Stand};
 
 /// This number of views is enough if everything else is covered.
@@ -147,7 +147,7 @@ pub fn advice(stands: &[Stand], limits: &Limits) -> Advice {
     let near = NEAR.min(NEAR_OF_LARGEST * largest);
     let progress = Progress {
         views: stands.len(),
-        cells: (0..cameras).map(|camera| seen(stands.iter(), camera)).collect(),
+        cells: (0..cameras).map(|camera| covered(stands.iter(), camera)).collect(),
         tilted,
         near: stands.iter().filter(|stand| stand.size >= near).count(),
     };

@@ -211,7 +211,7 @@ pub(crate) fn observations<'a, const N: usize>(views: &'a [View<N>], board: &'a 
 /// Initial values: each camera separately, then the poses between the cameras from the view that agrees best with the others.
 fn start<const N: usize>(views: &[View<N>], board: &Chessboard, size: ImageSize) -> Result<State, FitError> {
     if views.len() < VIEWS_MIN {
-        return Err(FitError::Views { seen: views.len() });
+        return Err(FitError::Views { given: views.len() });
     }
     let mut alone = Vec::with_capacity(N);
     for (index, side) in sides::<N>().into_iter().enumerate() {

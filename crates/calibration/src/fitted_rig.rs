@@ -11,10 +11,10 @@ pub const VIEWS_MIN: usize = 3;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum FitError {
     /// Too few views.
-    #[error("only {seen} usable views of the board, more than {VIEWS_MIN} are needed, 15 are good; take more images")]
+    #[error("only {given} usable views of the board, more than {VIEWS_MIN} are needed, 15 are good; take more images")]
     Views {
         /// Usable views.
-        seen: usize,
+        given: usize,
     },
     /// The corners of a view fit no camera.
     #[error(

@@ -49,7 +49,7 @@ pub fn choose<const N: usize>(
     models: &[LensModel],
 ) -> Result<Chosen<N>, FitError> {
     if views.len() <= VIEWS_MIN {
-        return Err(FitError::Views { seen: views.len() });
+        return Err(FitError::Views { given: views.len() });
     }
     let mut fits: Vec<(Fit<N>, f64)> = Vec::new();
     let mut tried = Vec::new();
@@ -71,7 +71,7 @@ pub fn choose<const N: usize>(
         Some((fit, held_out_rms_px)) => Ok(Chosen { fit, held_out_rms_px, tried }),
         None => {
             let last = tried.pop().and_then(|held_out| held_out.rms_px.err());
-            Err(last.unwrap_or(FitError::Views { seen: views.len() }))
+            Err(last.unwrap_or(FitError::Views { given: views.len() }))
         }
     }
 }
@@ -81,11 +81,11 @@ fn held_out_rms_px<const N: usize>(fit: &Fit<N>, views: &[View<N>], board: &Ches
     let parts = PARTS.min(views.len());
     let (mut sum, mut count) = (0.0, 0_usize);
     for part in 0..parts {
-        let (held, seen): (Vec<_>, Vec<_>) =
+        let (held, given): (Vec<_>, Vec<_>) =
             views.iter().cloned().enumerate().partition(|(index, _)| index % parts == part);
         let views_of = |list: Vec<(usize, View<N>)>| list.into_iter().map(|(_, view)| view).collect::<Vec<_>>();
-        let (held, seen) = (views_of(held), views_of(seen));
-        let errors = fit.near(&seen, board, fit.lens())?.errors_of_other_views(&held, board)?;
+        let (held, given) = (views_of(held), views_of(given));
+        let errors = fit.near(&given, board, fit.lens())?.errors_of_other_views(&held, board)?;
         sum += errors.iter().map(Vector2::norm_squared).sum::<f64>();
         count += errors.len();
     }

@@ -106,12 +106,13 @@ fn worth<'a>(stand: &Stand, others: impl Iterator<Item = &'a Stand> + Clone, wan
     let apart = others.clone().map(|other| stand.apart(other)).fold(f64::INFINITY, f64::min);
     // The first view is the one that fills most of the image: the board is near and well resolved.
     let apart = if apart.is_finite() { apart } else { stand.size };
-    let new = stand.cells.iter().enumerate().map(|(camera, cells)| cells.without(seen(others.clone(), camera)).count());
+    let new =
+        stand.cells.iter().enumerate().map(|(camera, cells)| cells.without(covered(others.clone(), camera)).count());
     let worth = apart + CELL_WORTH * f64::from(new.sum::<u32>());
     (worth >= wanted.worth_min).then_some(worth)
 }
 
 /// The image cells of a camera that contain corners.
-pub fn seen<'a>(stands: impl Iterator<Item = &'a Stand>, camera: usize) -> Cells {
+pub fn covered<'a>(stands: impl Iterator<Item = &'a Stand>, camera: usize) -> Cells {
     stands.filter_map(|stand| stand.cells.get(camera)).fold(Cells::default(), |all, cells| all.with(*cells))
 }

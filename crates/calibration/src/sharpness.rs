@@ -120,9 +120,9 @@ mod tests {
         let measured = [0.0, 1.0, 1.5, 2.0].map(|sigma| (sigma, blur(sigma, 0.0)));
         println!("blur and what was measured, px: {measured:?}; moved by 6 px: {}", blur(0.7, 6.0));
         assert!(measured[0].1 < 0.7, "{measured:?}");
-        for (sigma, seen) in &measured[1..] {
+        for (sigma, measured_slope) in &measured[1..] {
             // The pixel area adds to the blur.
-            assert!((seen - (sigma * sigma + 0.2_f64).sqrt()).abs() < 0.15 * sigma, "{measured:?}");
+            assert!((measured_slope - (sigma * sigma + 0.2_f64).sqrt()).abs() < 0.15 * sigma, "{measured:?}");
         }
         assert!(blur(0.7, 6.0) > 1.8);
     }

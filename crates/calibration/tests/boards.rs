@@ -129,13 +129,14 @@ fn the_program_prints_boards_that_are_found() {
         let program =
             std::process::Command::new(env!("CARGO_BIN_EXE_pb3dp-calibrate")).arg("board").args(args).output();
         let output = program.expect("it starts");
-        let told = format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-        (output.status.success(), told)
+        let output_text =
+            format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+        (output.status.success(), output_text)
     };
     let name = ["--board", "charuco:8x6:DICT_4X4_50", "--square", "30", "--marker", "22"];
     let (png, svg) = (path("board.png"), path("board.svg"));
-    let (written, told) = print(&[&name[..], &["--dpi", "100", "--out", &png]].concat());
-    assert!(written && told.contains("240.00 x 180.00 mm"), "{told}");
+    let (written, output_text) = print(&[&name[..], &["--dpi", "100", "--out", &png]].concat());
+    assert!(written && output_text.contains("240.00 x 180.00 mm"), "{output_text}");
     let image = image::open(&png).expect("an image").into_luma8();
     let sighting = find_board(&image, &charuco()).expect("seen");
     let at = |column, row| sighting.at(column, row).expect("seen").pixel;
@@ -152,8 +153,8 @@ fn the_program_prints_boards_that_are_found() {
         (vec!["--board", "dots:6x6", "--square", "30", "--out", &png], "aprilgrid:6x6"),
         (vec!["--board", "9x6", "--square", "30", "--out", "board.pdf"], ".svg or .png"),
     ] {
-        let (written, told) = print(&args);
-        assert!(!written && told.contains(named), "{args:?}: {told}");
+        let (written, output_text) = print(&args);
+        assert!(!written && output_text.contains(named), "{args:?}: {output_text}");
     }
 }
 
@@ -165,12 +166,13 @@ fn share_within(
 ) {
     const RIGS: u32 = 20;
     let session = Session { views: 15, corner_sigma_px: 0.1, flatness_m: 0.0002, ..Session::default() };
-    let (mut within, mut all, mut seen, mut corners) = (0_usize, 0_usize, 0_usize, 0_usize);
+    let (mut within, mut all, mut detected, mut corners) = (0_usize, 0_usize, 0_usize, 0_usize);
     for seed in 0..RIGS {
         let mut random = Random::new(300 + seed);
         let truth = rig(&mut random);
         let views = see(&truth, &session, &mut random);
-        seen += views.iter().flat_map(|view| &view.sightings).map(|sighting| sighting.corners().len()).sum::<usize>();
+        detected +=
+            views.iter().flat_map(|view| &view.sightings).map(|sighting| sighting.corners().len()).sum::<usize>();
         corners += 2 * views.len() * board.corner_count();
         let fit = Fit::<2>::new(&views, board, SIZE, LensModel::Brown4)
             .and_then(|flat| flat.with_shape(&views))
@@ -181,7 +183,7 @@ fn share_within(
     }
     let share = within as f64 / all as f64;
     println!(
-        "{name}: {seen} of {corners} corners detected; within one standard deviation: {:.1} % of {all}",
+        "{name}: {detected} of {corners} corners detected; within one standard deviation: {:.1} % of {all}",
         100.0 * share
     );
     assert!((share - 0.683).abs() <= 0.08, "{name}: {share}");

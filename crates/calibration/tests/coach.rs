@@ -19,7 +19,7 @@ use pb3dp_calibration::stand::{Judge, Stand};
 use pb3dp_geometry::{StereoRig, so3};
 use pb3dp_record::metrics::median;
 
-use crate::support::{Random, SIZE, Session, board, rig, seen_by_both, views};
+use crate::support::{Random, SIZE, Session, board, detected_by_both, rig, views};
 
 const GOOD: Session = Session {
     views: 15,
@@ -58,7 +58,7 @@ fn follow(request: &ViewRequest, rig: &StereoRig, random: &mut Random, name: Str
         let Ok(ray) = rig.left().unproject(&pixel) else { continue };
         let to_middle = Isometry3::from_parts((ray * distance_m).into(), so3::exp(&turn));
         let cam_left_from_board = to_middle * Isometry3::translation(-middle.x, -middle.y, 0.0);
-        if let Some(sightings) = seen_by_both(rig, &cam_left_from_board, &GOOD, random) {
+        if let Some(sightings) = detected_by_both(rig, &cam_left_from_board, &GOOD, random) {
             return View { name, sightings };
         }
     }
@@ -131,7 +131,7 @@ fn who_follows_the_coach_passes_the_gates() {
 }
 
 #[test]
-fn the_advice_is_said_in_words() {
+fn the_advice_is_given_as_text() {
     let first = advice(&[], &Limits::of_cameras()).request.expect("a view");
     assert_eq!(
         first.to_string(),

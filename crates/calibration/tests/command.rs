@@ -43,10 +43,10 @@ fn a_head_is_calibrated_from_a_folder_of_images() {
     let identities = [camera("A1"), camera("B2")];
     save_cameras(&identities, Path::new(&cameras)).expect("written");
     let output = stereo(&["--corners", &corners, "--out", &toml, "--cameras", &cameras]);
-    let told = text(&output);
-    println!("{told}");
-    assert!(told.contains("verdict: "), "{told}");
-    assert!(told.contains("not judged: the size of the squares"), "{told}");
+    let output_text = text(&output);
+    println!("{output_text}");
+    assert!(output_text.contains("verdict: "), "{output_text}");
+    assert!(output_text.contains("not judged: the size of the squares"), "{output_text}");
     // The detected corners are the committed ones, which OpenCV used.
     let found = fs::read_to_string(&corners).expect("corners");
     assert_eq!(found, fs::read_to_string(Path::new(DATA).join("corners.csv")).expect("corners"));
@@ -55,13 +55,13 @@ fn a_head_is_calibrated_from_a_folder_of_images() {
     assert_eq!(judgement.cameras, identities);
     assert_eq!(judgement.gates.len(), 10, "{judgement:?}");
     for gate in &judgement.gates {
-        assert!(told.contains(&format!("{} = {:.3}", gate.name, gate.measured)), "{gate:?}\n{told}");
+        assert!(output_text.contains(&format!("{} = {:.3}", gate.name, gate.measured)), "{gate:?}\n{output_text}");
     }
     // The board was held by hand, and the exposures of the cameras were not synchronised.
     assert!(!output.status.success());
     let refusals: Vec<&str> = judgement.refusals().map(|gate| gate.name.as_str()).collect();
-    assert_eq!(refusals, ["motion_rms_px"], "{told}");
-    assert!(told.contains("hold the board still"), "{told}");
+    assert_eq!(refusals, ["motion_rms_px"], "{output_text}");
+    assert!(output_text.contains("hold the board still"), "{output_text}");
     let covariance = judgement.covariance.expect("known");
     assert!(covariance.names.contains(&"cam_right_from_cam_left.x_m".to_owned()), "{:?}", covariance.names);
     assert!(judgement.numbers.contains(&("corners".to_owned(), 1296.0)), "{:?}", judgement.numbers);
@@ -96,10 +96,10 @@ fn colour_images_of_another_board_give_the_committed_corners() {
         "--corners",
         &corners,
     ]);
-    let told = text(&output);
-    println!("{told}");
+    let output_text = text(&output);
+    println!("{output_text}");
     // Eleven boards in the middle of the image.
-    assert!(!output.status.success() && told.contains("refused  coverage_percent"), "{told}");
+    assert!(!output.status.success() && output_text.contains("refused  coverage_percent"), "{output_text}");
     let found = fs::read_to_string(&corners).expect("corners");
     assert_eq!(found, fs::read_to_string(Path::new(DATA).join("bumblebee2_corners.csv")).expect("corners"));
 }
@@ -118,12 +118,12 @@ fn the_views_decide_what_a_verified_calibration_leaves_unstated() {
     fs::write(&file, bare.replace(", 0.0]\nM2", "]\nM2").replace(", 0.0]\nR", "]\nR")).expect("written");
     let images = chessboards();
     let args = ["verify", &name, "--left", &images, "--right", &images, "--board", "9x6", "--square", "25"];
-    let told = text(&calibrate(&args));
+    let output_text = text(&calibrate(&args));
     for part in [
         "that of the images, 640x480, is used",
         "no lens model: Brown-Conrady (k1 k2 p1 p2) is used, because the repro",
     ] {
-        assert!(told.contains(part), "{told}");
+        assert!(output_text.contains(part), "{output_text}");
     }
     let stated = text(&calibrate(&[&args[..], &["--calib-lens", "equidistant"]].concat()));
     assert!(stated.contains("refused  reprojection_rms_px = 3.") && !stated.contains("no lens model"), "{stated}");
@@ -133,8 +133,11 @@ fn the_views_decide_what_a_verified_calibration_leaves_unstated() {
 
 #[test]
 fn options_of_a_calibration_that_is_read_are_refused_where_none_is() {
-    let told = text(&stereo(&["--calib-lens", "brown"]));
-    assert!(told.contains("--calib-lens and --rectified have no effect here: no calibration is read"), "{told}");
+    let output_text = text(&stereo(&["--calib-lens", "brown"]));
+    assert!(
+        output_text.contains("--calib-lens and --rectified have no effect here: no calibration is read"),
+        "{output_text}"
+    );
 }
 
 #[test]
@@ -146,10 +149,13 @@ fn gates_of_a_file_refuse_and_the_program_fails() {
     fs::write(&strict, limits).expect("written");
     let output = stereo(&["--lens", "brown-4", "--gates", &strict.display().to_string()]);
     assert!(!output.status.success());
-    let told = text(&output);
-    assert!(told.contains("board: bow along its rows "), "{told}");
-    assert!(told.contains("refused  views = 12.000") && told.contains("take more images"), "{told}");
-    assert!(told.contains("verdict: refused"), "{told}");
+    let output_text = text(&output);
+    assert!(output_text.contains("board: bow along its rows "), "{output_text}");
+    assert!(
+        output_text.contains("refused  views = 12.000") && output_text.contains("take more images"),
+        "{output_text}"
+    );
+    assert!(output_text.contains("verdict: refused"), "{output_text}");
 }
 
 #[test]
@@ -171,12 +177,12 @@ fn a_wrong_size_of_the_squares_is_refused_where_the_baseline_is_known() {
             "--lens",
             "radial-1",
         ]);
-        let told = text(&output);
-        let line = told.lines().find(|line| line.contains("scale_percent")).unwrap_or_default();
+        let output_text = text(&output);
+        let line = output_text.lines().find(|line| line.contains("scale_percent")).unwrap_or_default();
         println!("{square} mm: {line}");
-        assert!(line.starts_with(grade), "{told}");
-        assert_eq!(line.contains("measure ten squares"), square == "29", "{told}");
-        assert!(!told.contains("not judged"), "{told}");
+        assert!(line.starts_with(grade), "{output_text}");
+        assert_eq!(line.contains("measure ten squares"), square == "29", "{output_text}");
+        assert!(!output_text.contains("not judged"), "{output_text}");
     }
 }
 

@@ -11,7 +11,7 @@ use pb3dp_calibration::detection::find_board;
 use pb3dp_record::metrics::percentile;
 
 use crate::renderer::{Imaging, Renderer};
-use crate::support::{Random, Session, board, placed, rig, seen_by_both};
+use crate::support::{Random, Session, board, detected_by_both, placed, rig};
 
 const SEEDS: u32 = 3;
 const VIEWS: usize = 3;
@@ -27,7 +27,7 @@ fn errors_px(imaging: Imaging) -> [f64; 2] {
         let mut views = 0;
         while views < VIEWS {
             let pose = placed(&rig, &board(), &exact, &mut random);
-            let Some([truth, _]) = seen_by_both(&rig, &pose, &exact, &mut random) else { continue };
+            let Some([truth, _]) = detected_by_both(&rig, &pose, &exact, &mut random) else { continue };
             views += 1;
             let image = renderer.image(&renderer.light(&pose, &board()), imaging, &mut random);
             let sighting = find_board(&image, &board()).expect("seen");

@@ -333,12 +333,15 @@ fn wrong_squares_are_refused_and_named() {
                 fit(&stops, if both { &small } else { rig }).unwrap_or_else(|error| panic!("seed {seed}: {error}"));
             let verdicts = Limits::of_hand_eye().judge_hand_eye(&fit, DISTANCE_M);
             let scale = verdicts.iter().find(|v| v.gate.key == SCALE.key).expect("judged");
-            let told = scale.to_string();
+            let scale_text = scale.to_string();
             if seed < 2 {
-                println!("{told}\n{:?}", fit.scales);
+                println!("{scale_text}\n{:?}", fit.scales);
             }
-            assert!(scale.grade() == Grade::Refused && told.contains("measure the squares"), "seed {seed}: {told}");
-            assert_eq!(told.contains("calibrate the stereo rig"), both, "seed {seed}: {told}");
+            assert!(
+                scale.grade() == Grade::Refused && scale_text.contains("measure the squares"),
+                "seed {seed}: {scale_text}"
+            );
+            assert_eq!(scale_text.contains("calibrate the stereo rig"), both, "seed {seed}: {scale_text}");
         }
     }
 }

@@ -34,11 +34,11 @@ fn text(output: &Output) -> String {
 }
 
 /// Output of a successful command.
-fn told(args: &[&str]) -> String {
+fn output_of(args: &[&str]) -> String {
     let output = calibrate(args);
-    let told = text(&output);
-    assert!(output.status.success(), "{args:?}\n{told}");
-    told
+    let output_of = text(&output);
+    assert!(output.status.success(), "{args:?}\n{output_of}");
+    output_of
 }
 
 /// A workcell with two arms, one of which carries the board.
@@ -162,19 +162,19 @@ fn head_hand_and_both_arms_are_calibrated_by_the_commands_alone() {
     // Poses of the arm with the cameras; then the stereo and hand-eye calibration from them.
     let guessed = guess(&cell.world.flange_from_cam_left);
     let from_look = ["propose", "--recording", &look, "--calib", &nominal];
-    println!("{}", told(&[&from_look, &TARGET[..], &["--guess", &guessed, "--out", &vs_poses]].concat()));
+    println!("{}", output_of(&[&from_look, &TARGET[..], &["--guess", &guessed, "--out", &vs_poses]].concat()));
     let of_vs: Vec<_> = poses_of(Path::new(&vs_poses), ArmOfPoses::Vs).iter().map(|pose| [*pose, first[1]]).collect();
     assert_eq!(of_vs.len(), 18);
     let stops = cell.record("stops", &of_vs).display().to_string();
-    let head = told(&[&["stereo", "--left", &stops, "--right", &stops, "--out", &calib], &TARGET[..]].concat());
+    let head = output_of(&[&["stereo", "--left", &stops, "--right", &stops, "--out", &calib], &TARGET[..]].concat());
     println!("{head}");
     assert!(head.contains("good     views = 18.000"), "{head}");
     let hand = ["hand-eye", "--recording", &stops, "--calib", &calib];
-    let told_hand = told(&[&hand, &TARGET[..], &["--out", &hand_eye]].concat());
-    println!("{told_hand}");
+    let reported_hand = output_of(&[&hand, &TARGET[..], &["--out", &hand_eye]].concat());
+    println!("{reported_hand}");
     assert!(
-        told_hand.contains("the arm tc has not moved") && told_hand.contains("flange_from_hand = {"),
-        "{told_hand}"
+        reported_hand.contains("the arm tc has not moved") && reported_hand.contains("flange_from_hand = {"),
+        "{reported_hand}"
     );
     let found = load_hand_eye(Path::new(&hand_eye)).expect("a hand-eye calibration");
     check_hand(&found, &cell, &calib);
@@ -185,9 +185,12 @@ fn head_hand_and_both_arms_are_calibrated_by_the_commands_alone() {
 
     // Wrong square size.
     let wrong = calibrate(&[&hand[..], &["--board", "9x6", "--square", "25.25"]].concat());
-    let said = text(&wrong);
-    assert!(!wrong.status.success(), "{said}");
-    assert!(said.contains("refused  scale_percent") && said.contains("measure the squares"), "{said}");
+    let output_text = text(&wrong);
+    assert!(!wrong.status.success(), "{output_text}");
+    assert!(
+        output_text.contains("refused  scale_percent") && output_text.contains("measure the squares"),
+        "{output_text}"
+    );
     both_arms(&mut cell, first[0], [&look, &stops, &calib, &hand_eye]);
 }
 
@@ -198,15 +201,15 @@ fn both_arms(cell: &mut Cell, vs: Isometry3<f64>, [look, stops, calib, hand_eye]
     let bases = guess(&vs_base_from_tc_base);
     let known = ["--arm", "tc", "--count", "12", "--hand-eye", hand_eye, "--guess-bases", &bases, "--out", &tc_poses];
     let from_look = ["propose", "--recording", look, "--calib", calib];
-    println!("{}", told(&[&from_look, &TARGET[..], &known].concat()));
+    println!("{}", output_of(&[&from_look, &TARGET[..], &known].concat()));
     let of_tc: Vec<_> = poses_of(Path::new(&tc_poses), ArmOfPoses::Tc).iter().map(|pose| [vs, *pose]).collect();
     let more = cell.record("more", &of_tc).display().to_string();
     let both = ["hand-eye", "--recording", stops, &more, "--calib", calib, "--out", hand_eye];
-    let told_both = told(&[&both, &TARGET[..]].concat());
-    println!("{told_both}");
+    let reported_both = output_of(&[&both, &TARGET[..]].concat());
+    println!("{reported_both}");
     assert!(
-        told_both.contains("the board is mounted on the flange of tc") && told_both.contains("[arms.tc]"),
-        "{told_both}"
+        reported_both.contains("the board is mounted on the flange of tc") && reported_both.contains("[arms.tc]"),
+        "{reported_both}"
     );
     let found = load_hand_eye(Path::new(hand_eye)).expect("a hand-eye calibration");
     let BoardPlace::Carried { vs_base_from_tc_base: bases, tc_flange_from_board: on_flange } = found.board else {

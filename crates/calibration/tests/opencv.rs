@@ -58,19 +58,19 @@ fn bumblebee2_chessboards() -> Set {
 
 impl Set {
     fn views(&self) -> Vec<View<2>> {
-        let mut seen: BTreeMap<&str, [Vec<BoardCorner>; 2]> = BTreeMap::new();
+        let mut corners_of: BTreeMap<&str, [Vec<BoardCorner>; 2]> = BTreeMap::new();
         for line in self.corners.lines().skip(1) {
             let fields: Vec<&str> = line.split(',').collect();
             let [view, camera, column, row, u, v] = fields[..] else { panic!("{line}") };
             let pixel = Vector2::new(u.parse().expect(line), v.parse().expect(line));
             let corner = BoardCorner { column: column.parse().expect(line), row: row.parse().expect(line), pixel };
-            seen.entry(view).or_default()[usize::from(camera == "right")].push(corner);
+            corners_of.entry(view).or_default()[usize::from(camera == "right")].push(corner);
         }
         let view = |(name, sightings): (&str, [Vec<BoardCorner>; 2])| View {
             name: name.to_owned(),
             sightings: sightings.map(Sighting::new),
         };
-        seen.into_iter().map(view).collect()
+        corners_of.into_iter().map(view).collect()
     }
 
     /// OpenCV's results: numbers by name.

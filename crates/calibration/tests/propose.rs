@@ -71,15 +71,15 @@ fn the_board_stays_whole_and_the_views_calibrate_the_head() {
         let views = propose(&believed, &board(), &Pose::from_isometry(first_believed), &REQUEST)
             .unwrap_or_else(|error| panic!("seed {seed}: {error}"));
         assert_eq!(views.cam_left_from_board.len(), REQUEST.count);
-        let mut seen = Vec::new();
+        let mut detected_views = Vec::new();
         for (index, view) in views.cam_left_from_board.iter().enumerate() {
             let motion = error * (view.isometry() * first_believed.inverse()) * error.inverse();
             let sightings = world.sightings(&(motion * first), &GOOD, &mut random);
-            seen.extend(sightings.map(|sightings| View { name: format!("{index:02}"), sightings }));
+            detected_views.extend(sightings.map(|sightings| View { name: format!("{index:02}"), sightings }));
         }
-        (whole, all) = (whole + seen.len(), all + REQUEST.count);
-        let chosen = choose(&seen, &board(), SIZE, &[LensModel::Brown4]).expect("a calibration");
-        let quality = Quality::of_stereo(&chosen, &seen, SIZE, 0.5).expect("judged");
+        (whole, all) = (whole + detected_views.len(), all + REQUEST.count);
+        let chosen = choose(&detected_views, &board(), SIZE, &[LensModel::Brown4]).expect("a calibration");
+        let quality = Quality::of_stereo(&chosen, &detected_views, SIZE, 0.5).expect("judged");
         let verdicts = Limits::of_cameras().judge_cameras(&quality);
         let bad: Vec<_> =
             verdicts.iter().filter(|v| v.grade() != Grade::Good).map(|v| (v.gate.key, v.measured)).collect();

@@ -56,10 +56,10 @@ fn check_html(html: &str) {
     assert!(open.is_empty(), "{open:?}");
     // Base64 image data may contain any letters.
     let images = html.split("base64,").skip(1).map(|rest| rest.split('"').next().expect("an end"));
-    let said = images.fold(html.to_owned(), |html, image| html.replace(image, ""));
+    let html_text = images.fold(html.to_owned(), |html, image| html.replace(image, ""));
     // The content policy of the page is no link.
-    let said = said.replace("http-equiv", "");
-    assert!(!said.contains("<script") && !said.contains("http") && !said.contains("NaN"), "{said}");
+    let html_text = html_text.replace("http-equiv", "");
+    assert!(!html_text.contains("<script") && !html_text.contains("http") && !html_text.contains("NaN"), "{html_text}");
 }
 
 /// Frames selected as views.
@@ -83,11 +83,11 @@ fn views_are_chosen_from_a_recording_and_the_head_is_found() {
     let common = ["--recording", &recording, "--board", "9x6", "--square"];
     let made = ["25", "--lens", "radial-2", "--corners", &corners, "--out", &toml, "--report", &html];
     let output = calibrate(&[&["stereo"], &common[..], &made].concat());
-    let told = text(&output);
-    println!("{told}");
-    assert!(output.status.success(), "{told}");
-    assert!(told.contains(&format!("of {} pairs, selected", rests.len())), "{told}");
-    assert!(told.contains("the board moves faster than"), "{told}");
+    let output_text = text(&output);
+    println!("{output_text}");
+    assert!(output.status.success(), "{output_text}");
+    assert!(output_text.contains(&format!("of {} pairs, selected", rests.len())), "{output_text}");
+    assert!(output_text.contains("the board moves faster than"), "{output_text}");
     let chosen = frames(Path::new(&corners));
     let at: BTreeSet<Option<usize>> = chosen.iter().map(|frame| rests[*frame]).collect();
     assert!(!at.contains(&None) && !at.contains(&Some(blurred)), "{chosen:?}");
@@ -99,7 +99,7 @@ fn views_are_chosen_from_a_recording_and_the_head_is_found() {
     let focal = found.left().pinhole().fx / truth.left().pinhole().fx - 1.0;
     println!("baseline {:+.3} %, focal length {:+.3} % wrong", 100.0 * baseline, 100.0 * focal);
     assert!(baseline.abs() < 0.005 && focal.abs() < 0.005);
-    report_says_what_the_file_says(&html, &calibration.judgement.expect("judged").gates, &told);
+    report_says_what_the_file_says(&html, &calibration.judgement.expect("judged").gates, &output_text);
     verified(&toml, &common);
     assert!(chosen.len() * AT_REST < rests.len());
     let mcap = folder.path().join("board.mcap");
@@ -200,21 +200,21 @@ fn images_with_both_views_are_read() {
     assert!(!refused.status.success() && text(&refused).contains("no recording"), "{}", text(&refused));
 }
 
-fn report_says_what_the_file_says(html: &str, gates: &[JudgedGate], told: &str) {
-    says(html, gates, told);
+fn report_says_what_the_file_says(html: &str, gates: &[JudgedGate], output_text: &str) {
+    says(html, gates, output_text);
     let html = fs::read_to_string(html).expect("a report");
     assert!(html.contains("data:image/jpeg;base64,") && html.matches("drawn").count() > 4);
 }
 
 /// Checks that a page shows the gates and the verdict of the file and of the printed output.
-fn says(html: &str, gates: &[JudgedGate], told: &str) {
+fn says(html: &str, gates: &[JudgedGate], output_text: &str) {
     let html = fs::read_to_string(html).expect("a report");
     check_html(&html);
     for gate in gates {
         let row = format!("<td>{}</td><td>{}</td><td>{:.3}</td>", gate.name, gate.grade, gate.measured);
         assert!(html.contains(&row), "{row}");
     }
-    let verdict = told.lines().find_map(|line| line.strip_prefix("verdict: ")).expect("a verdict");
+    let verdict = output_text.lines().find_map(|line| line.strip_prefix("verdict: ")).expect("a verdict");
     assert!(html.contains(&format!("Verdict: {verdict}")), "{verdict}");
 }
 
@@ -257,9 +257,13 @@ fn each_stop_of_an_arm_is_a_view() {
     let board = format!("{}x{}", board().columns(), board().rows());
     let args = ["stereo", "--recording", &recording, "--board", &board, "--square", "25", "--lens", "radial-1"];
     let output = calibrate(&[&args[..], &["--corners", &corners]].concat());
-    let seen = fs::read_to_string(&corners).expect("corners");
+    let corners_text = fs::read_to_string(&corners).expect("corners");
     assert!(text(&output).contains("views = 6.000"), "{}", text(&output));
-    assert!(seen.contains("\nstop 00,left,0,0,") && seen.contains("\nstop 05,right,8,5,"), "{}", text(&output));
+    assert!(
+        corners_text.contains("\nstop 00,left,0,0,") && corners_text.contains("\nstop 05,right,8,5,"),
+        "{}",
+        text(&output)
+    );
 }
 
 /// Cameras without a common trigger: their images are 4 ms apart.
@@ -340,9 +344,12 @@ fn what_was_touched_is_where_the_cameras_say() {
     assert!(good.status.success() && text(&good).contains("good     touch_mm = 0."), "{}", text(&good));
     hand_eye_has_a_report(folder.path());
     let wrong = verify(-5.0);
-    let told = text(&wrong);
-    assert!(!wrong.status.success() && told.contains("refused  touch_mm = "), "{told}");
-    assert!(told.lines().any(|line| line.starts_with("corner 3,5: touched at") && line.contains("12 stops")), "{told}");
+    let output_text = text(&wrong);
+    assert!(!wrong.status.success() && output_text.contains("refused  touch_mm = "), "{output_text}");
+    assert!(
+        output_text.lines().any(|line| line.starts_with("corner 3,5: touched at") && line.contains("12 stops")),
+        "{output_text}"
+    );
 }
 
 /// The report of a hand-eye calibration from the stops of a folder agrees with its file.
@@ -378,30 +385,33 @@ fn the_coach_looks_at_a_recording_that_grows() {
         .stdout(std::process::Stdio::piped())
         .spawn()
         .expect("it starts");
-    let mut told = lines(&mut child);
-    assert!(told.next().expect("a line").contains("waiting for images"));
+    let mut output_text = lines(&mut child);
+    assert!(output_text.next().expect("a line").contains("waiting for images"));
     let mut writer = film::writer(&recording, &studio.rig);
     let pair = studio.pair(&places[0], 0.0);
     film::push(&mut writer, &pair);
     // One pair alone does not show whether the board is stationary.
-    assert!(told.next().expect("a line").contains("0 views, 0 % covered: the board is moving"));
-    assert!(told.next().expect("a line").contains("next: hold the board in the middle of the images"));
+    assert!(output_text.next().expect("a line").contains("0 views, 0 % covered: the board is moving"));
+    assert!(output_text.next().expect("a line").contains("next: hold the board in the middle of the images"));
     film::push(&mut writer, &pair);
-    assert!(told.next().expect("a line").contains("1 views") && told.next().expect("a line").contains("next: "));
+    assert!(
+        output_text.next().expect("a line").contains("1 views")
+            && output_text.next().expect("a line").contains("next: ")
+    );
     film::push(&mut writer, &pair);
-    assert!(told.next().expect("a line").contains("similar to an earlier view"));
-    assert!(told.next().expect("a line").contains("next: "));
+    assert!(output_text.next().expect("a line").contains("similar to an earlier view"));
+    assert!(output_text.next().expect("a line").contains("next: "));
     for _ in 0..2 {
         film::push(&mut writer, &studio.pair(&places[3], 0.0));
     }
-    let taken = told.by_ref().find(|line| line.contains("2 views")).expect("a line");
+    let taken = output_text.by_ref().find(|line| line.contains("2 views")).expect("a line");
     assert!(taken.contains("taken"), "{taken}");
-    let next = told.next().expect("a line");
+    let next = output_text.next().expect("a line");
     println!("{taken}\n{next}");
     let html = fs::read_to_string(&page).expect("a page");
     check_html(&html.replace("http-equiv", ""));
     writer.finish().expect("written");
-    let rest: Vec<String> = told.collect();
+    let rest: Vec<String> = output_text.collect();
     assert!(rest.iter().any(|line| line.contains("the recording ended with 2 views")), "{rest:?}");
     assert!(!child.wait().expect("it ends").success());
     assert!(html.contains("Calibration coach") && html.contains("http-equiv=\"refresh\""));

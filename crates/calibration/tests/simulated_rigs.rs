@@ -112,7 +112,7 @@ fn stated_standard_deviations_are_those_of_the_errors() {
 /// Why a session was refused: the gates, or the message of an error.
 struct Refusal {
     gates: Vec<Gate>,
-    told: String,
+    message: String,
 }
 
 /// A simulated session of a seed, judged; the squares are assumed to be `square_mm` large (true size 25), and the baseline is
@@ -126,7 +126,7 @@ fn judged(seed: u32, session: &Session, models: &[LensModel], (square_mm, exchan
         view.sightings.swap(0, 1);
     }
     let typed = Chessboard::new(board().columns(), board().rows(), square_mm * 1e-3).expect("a board");
-    let error = |error: &dyn std::error::Error| Refusal { gates: Vec::new(), told: error.to_string() };
+    let error = |error: &dyn std::error::Error| Refusal { gates: Vec::new(), message: error.to_string() };
     let chosen = match choose(&views, &typed, SIZE, models) {
         Ok(chosen) => chosen,
         Err(reason) => return error(&reason),
@@ -138,7 +138,7 @@ fn judged(seed: u32, session: &Session, models: &[LensModel], (square_mm, exchan
     let verdicts = Limits::of_cameras().judge_cameras(&quality);
     let gates: Vec<Gate> = verdicts.iter().filter(|v| v.grade() == Grade::Refused).map(|v| v.gate).collect();
     let numbers: Vec<String> = verdicts.iter().map(|v| format!("{} {:.3}", v.gate.key, v.measured)).collect();
-    Refusal { gates, told: numbers.join(", ") }
+    Refusal { gates, message: numbers.join(", ") }
 }
 
 #[test]
@@ -148,7 +148,7 @@ fn good_sessions_pass() {
     let mut count = 0;
     for (seed, refusal) in refused {
         if !refusal.gates.is_empty() {
-            println!("seed {seed}: {:?}: {}", refusal.gates, refusal.told);
+            println!("seed {seed}: {:?}: {}", refusal.gates, refusal.message);
             count += 1;
         }
     }
@@ -235,11 +235,11 @@ fn check_planted(range: std::ops::Range<usize>) {
             let mut random = Random::new(5000 + seed);
             let session = (planted.session)(&mut random);
             let refusal = judged(seed, &session, &[LensModel::Brown4], (planted.typed)(&mut random));
-            let words = !planted.words.is_empty() && refusal.told.contains(planted.words);
+            let words = !planted.words.is_empty() && refusal.message.contains(planted.words);
             if words || refusal.gates.iter().any(|gate| planted.gates.contains(gate)) {
                 refused += 1;
             } else {
-                println!("{}, seed {seed}: {:?}: {}", planted.name, refusal.gates, refusal.told);
+                println!("{}, seed {seed}: {:?}: {}", planted.name, refusal.gates, refusal.message);
             }
         }
         println!("{}: {refused} of {rigs} refused with the right reason", planted.name);

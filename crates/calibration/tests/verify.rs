@@ -146,21 +146,21 @@ fn lengths_on_fresh_views_tell_the_scale_and_the_wrong_square() {
 fn touched_corners_are_where_the_cameras_say() {
     let mut random = Random::new(91);
     let truth = rig(&mut random);
-    let seen = views(&truth, &Session { corner_sigma_px: 0.0, ..GOOD }, &mut random);
+    let session_views = views(&truth, &Session { corner_sigma_px: 0.0, ..GOOD }, &mut random);
     // The board is stationary in the room, so each view has its own hand pose.
     let base_from_board = Isometry3::new(Vector3::new(0.5, -0.2, 0.1), Vector3::new(2.8, 0.3, -0.2));
     let corners = [[0, 0], [8, 1], [3, 5]];
     let poses: Vec<Isometry3<f64>> =
-        seen.iter().map(|view| base_from_board * board_from_cam_left(&truth, view)).collect();
+        session_views.iter().map(|view| base_from_board * board_from_cam_left(&truth, view)).collect();
     let touch = |corner: [u32; 2], off_m: f64| {
         let in_base_m = base_from_board * board().corner_in_board(corner[0], corner[1]) + Vector3::new(0.0, off_m, 0.0);
         Touch { board_corner: corner, in_base_m }
     };
     let touches = [touch(corners[0], 0.0), touch(corners[1], 0.004), touch(corners[2], 0.0)];
-    let results = touched(&truth, &seen, &poses, &touches).expect("seen");
+    let results = touched(&truth, &session_views, &poses, &touches).expect("seen");
     let errors_mm: Vec<f64> = results.iter().map(|result| result.error_m() * 1e3).collect();
     assert!(errors_mm[0] < 0.01 && (errors_mm[1] - 4.0).abs() < 0.01 && errors_mm[2] < 0.01, "{errors_mm:?}");
-    assert!(touched(&truth, &seen, &poses, &[touch([12, 0], 0.0)]).is_err());
+    assert!(touched(&truth, &session_views, &poses, &[touch([12, 0], 0.0)]).is_err());
 }
 
 /// The board frame from three triangulated corners: an independent computation, without the adjustment.

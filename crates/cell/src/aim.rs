@@ -14,7 +14,7 @@ pub struct Aim {
     surface_from_hand_desired: Pose<Surface, Hand>,
     hand_from_hand_shifted: Pose<Hand, Hand>,
     /// The surface as it was seen last, with the number of its target.
-    seen: Option<(u64, Pose<Surface, Model>)>,
+    newest_surface: Option<(u64, Pose<Surface, Model>)>,
     model_from_surface: Pose<Model, Surface>,
 }
 
@@ -24,7 +24,7 @@ impl Aim {
         Self {
             surface_from_hand_desired: model_from_hand_desired.relabel(),
             hand_from_hand_shifted: Pose::coincident(),
-            seen: None,
+            newest_surface: None,
             model_from_surface: Pose::coincident(),
         }
     }
@@ -32,7 +32,7 @@ impl Aim {
     /// Stores what a pair shows of the surface.
     pub fn see(&mut self, percept: &Percept) {
         let target = percept.estimate.target;
-        self.seen = percept.surface_from_model.map(|surface| (target, surface)).or(self.seen);
+        self.newest_surface = percept.surface_from_model.map(|surface| (target, surface)).or(self.newest_surface);
     }
 
     /// Shifts the pose; returns it if it changes.
@@ -44,7 +44,7 @@ impl Aim {
 
     /// Takes the surface as it is known now; returns the pose if it changes. A target whose surface was not seen has none but `model`.
     pub fn align(&mut self, target: Option<u64>) -> Option<Pose<Model, Hand>> {
-        let known = self.seen.filter(|(of, surface)| Some(*of) == target && surface.is_finite());
+        let known = self.newest_surface.filter(|(of, surface)| Some(*of) == target && surface.is_finite());
         let model_from_surface = known.map_or_else(Pose::coincident, |(_, surface)| surface.inverse());
         let is_new = model_from_surface != self.model_from_surface;
         is_new.then(|| self.model_from_surface = model_from_surface)?;

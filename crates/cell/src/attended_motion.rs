@@ -63,19 +63,19 @@ pub fn instructions(key_within: Duration) -> String {
 #[derive(Clone, Copy, Debug)]
 pub struct Keys {
     within: Duration,
-    heard_at: MonotonicTime,
+    heartbeat_at: MonotonicTime,
     request: KeyRequest,
 }
 
 impl Keys {
     /// A person who has pressed a key now, and must press one within each such time.
     pub fn new(within: Duration, now: MonotonicTime) -> Self {
-        Self { within, heard_at: now, request: KeyRequest::default() }
+        Self { within, heartbeat_at: now, request: KeyRequest::default() }
     }
 
     /// A key was pressed.
-    pub fn heard(&mut self, now: MonotonicTime) {
-        self.heard_at = now;
+    pub fn key_pressed(&mut self, now: MonotonicTime) {
+        self.heartbeat_at = now;
     }
 
     /// The question to ask now, if one is due.
@@ -83,9 +83,9 @@ impl Keys {
     /// # Errors
     /// [`EndedByPerson::Silent`].
     pub fn look(&mut self, now: MonotonicTime) -> Result<Option<&'static str>, EndedByPerson> {
-        match silence(self.within, self.heard_at, now) {
+        match silence(self.within, self.heartbeat_at, now) {
             Some(cause) => Err(EndedByPerson::Silent(cause)),
-            None => Ok(self.request.is_due(self.within, self.heard_at, now).then_some(ASK)),
+            None => Ok(self.request.is_due(self.within, self.heartbeat_at, now).then_some(ASK)),
         }
     }
 }
@@ -145,10 +145,10 @@ impl AttendedMotion {
         let shared = Arc::new(Shared::default());
         let keys = Keys::new(key_within, clock.now());
         let mut listening = Listening { lines, clock, questions: Questions::start(answers)?, keys };
-        let seen = Arc::clone(&shared);
+        let shared_state = Arc::clone(&shared);
         let listen = move || {
-            if let Some(ended) = listening.until(&seen.is_over) {
-                on_end(seen.ended.get_or_init(|| ended));
+            if let Some(ended) = listening.until(&shared_state.is_over) {
+                on_end(shared_state.ended.get_or_init(|| ended));
             }
         };
         Builder::new().name("person".to_owned()).spawn(listen).context("no thread for typed lines")?;
@@ -181,7 +181,7 @@ impl Listening {
         while !is_over.load(Ordering::SeqCst) {
             match self.lines.recv_timeout(LOOK) {
                 Ok(Ok(line)) if ends_motion(&line) => return Some(EndedByPerson::Typed(line)),
-                Ok(Ok(_)) => self.keys.heard(self.clock.now()),
+                Ok(Ok(_)) => self.keys.key_pressed(self.clock.now()),
                 Ok(Err(_)) | Err(RecvTimeoutError::Disconnected) => return Some(EndedByPerson::EndOfInput),
                 Err(RecvTimeoutError::Timeout) => {}
             }

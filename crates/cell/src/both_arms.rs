@@ -10,25 +10,25 @@ use pb3dp_setup::setup::Setup;
 use crate::log::ArmSample;
 
 use super::commands::CommandSummary;
-use super::devices::DrivenArm;
+use super::devices::ArmControl;
 
 /// One arm with its last measurement.
-pub struct LedArm {
+pub struct CellArm {
     name: &'static str,
-    arm: Box<dyn DrivenArm>,
+    arm: Box<dyn ArmControl>,
     joints: JointState,
     /// Last requested command.
     requested: JointCommand,
     replies_missed: u64,
     /// Enabling is in progress.
-    is_switching_on: bool,
+    is_enabling: bool,
 }
 
-impl LedArm {
+impl CellArm {
     /// An arm that is not enabled yet; until its first measurement it counts as stationary at `start_rad`.
-    fn new(name: &'static str, arm: Box<dyn DrivenArm>, start_rad: JointVector, now: MonotonicTime) -> Self {
+    fn new(name: &'static str, arm: Box<dyn ArmControl>, start_rad: JointVector, now: MonotonicTime) -> Self {
         let joints = JointState { at: now, position_rad: start_rad, velocity_rad_per_s: JointVector::zeros() };
-        Self { name, arm, joints, requested: JointCommand::Hold, replies_missed: 0, is_switching_on: false }
+        Self { name, arm, joints, requested: JointCommand::Hold, replies_missed: 0, is_enabling: false }
     }
 
     /// Last measured joint state.
@@ -89,16 +89,16 @@ impl LedArm {
             return Ok(());
         }
         self.arm.power(PowerOrder::BeginEnable(from)).map(drop).with_context(|| self.not_enabled())?;
-        self.is_switching_on = true;
+        self.is_enabling = true;
         Ok(())
     }
 
     /// Whether enabling has finished.
     fn poll_enable(&mut self) -> Result<bool> {
-        if self.is_switching_on {
-            self.is_switching_on = !self.arm.poll_enable().with_context(|| self.not_enabled())?;
+        if self.is_enabling {
+            self.is_enabling = !self.arm.poll_enable().with_context(|| self.not_enabled())?;
         }
-        Ok(!self.is_switching_on)
+        Ok(!self.is_enabling)
     }
 
     fn not_enabled(&self) -> String {
@@ -107,7 +107,7 @@ impl LedArm {
 
     /// Monitors the arm while both arms are enabled: whether it is enabled and its joints are measured.
     fn watch(&mut self) -> Result<bool> {
-        if self.is_switching_on {
+        if self.is_enabling {
             self.look();
             return Ok(false);
         }
@@ -126,7 +126,7 @@ impl LedArm {
     }
 
     fn stop(&mut self) -> Result<()> {
-        self.is_switching_on = false;
+        self.is_enabling = false;
         self.arm.stop().with_context(|| format!("{}: stop", self.name))
     }
 }
@@ -134,19 +134,19 @@ impl LedArm {
 /// Both arms.
 pub struct BothArms {
     /// The arm that carries the cameras.
-    pub vs: LedArm,
+    pub vs: CellArm,
     /// The arm that carries the target.
-    pub tc: LedArm,
-    is_switching_on: bool,
+    pub tc: CellArm,
+    is_enabling: bool,
 }
 
 impl BothArms {
     /// Arms that are not enabled yet: the one with the cameras, the one with the target.
-    pub fn new(setup: &Setup, (vs, tc): (Box<dyn DrivenArm>, Box<dyn DrivenArm>), now: MonotonicTime) -> Self {
+    pub fn new(setup: &Setup, (vs, tc): (Box<dyn ArmControl>, Box<dyn ArmControl>), now: MonotonicTime) -> Self {
         Self {
-            vs: LedArm::new("vs-robot", vs, setup.rig.arms.vs.start_rad, now),
-            tc: LedArm::new("tc-robot", tc, setup.rig.arms.tc.start_rad, now),
-            is_switching_on: false,
+            vs: CellArm::new("vs-robot", vs, setup.rig.arms.vs.start_rad, now),
+            tc: CellArm::new("tc-robot", tc, setup.rig.arms.tc.start_rad, now),
+            is_enabling: false,
         }
     }
 
@@ -157,8 +157,8 @@ impl BothArms {
     /// # Errors
     /// The arm that cannot be enabled or does not hold, with the cause; the caller must then stop both.
     pub fn enable(&mut self, from: EnablePosition) -> Result<bool> {
-        let was_switching_on = std::mem::replace(&mut self.is_switching_on, false);
-        if !was_switching_on {
+        let was_enabling = std::mem::replace(&mut self.is_enabling, false);
+        if !was_enabling {
             self.vs.begin_enable(from)?;
             self.tc.begin_enable(from)?;
         }
@@ -172,13 +172,13 @@ impl BothArms {
         for outcome in polled.into_iter().chain(watched) {
             are_on &= outcome?;
         }
-        self.is_switching_on = !are_on;
+        self.is_enabling = !are_on;
         Ok(are_on)
     }
 
     /// Whether enabling is in progress.
-    pub fn is_switching_on(&self) -> bool {
-        self.is_switching_on
+    pub fn is_enabling(&self) -> bool {
+        self.is_enabling
     }
 
     /// Stops both arms and closes their brakes in any state; returns the first failure.
@@ -187,19 +187,19 @@ impl BothArms {
     /// The arm that cannot be commanded.
     pub fn stop(&mut self) -> Result<()> {
         // Closing one arm's brakes takes time. The other arm must not wait meanwhile, neither for a velocity nor for its own brakes.
-        self.is_switching_on = false;
+        self.is_enabling = false;
         let arms = [&mut self.vs, &mut self.tc].map(|led| {
             led.arm.exchange(JointCommand::Hold).ok();
             // An arm that cannot be commanded gets the command a second time below.
             led.arm.begin_stop().ok();
             led
         });
-        let [vs, tc] = arms.map(LedArm::stop);
+        let [vs, tc] = arms.map(CellArm::stop);
         vs.and(tc)
     }
 
     /// Name of an arm that is still enabled after a stop.
-    pub fn still_on(&self) -> Option<&'static str> {
+    pub fn still_enabled(&self) -> Option<&'static str> {
         [&self.vs, &self.tc].into_iter().find(|led| led.is_on()).map(|led| led.name)
     }
 
@@ -208,8 +208,8 @@ impl BothArms {
     /// # Errors
     /// The first arm that cannot be commanded.
     pub fn stop_still_on(&mut self) -> Result<()> {
-        let still_on = [&mut self.vs, &mut self.tc].into_iter().filter(|led| led.is_on());
-        still_on.map(LedArm::stop).fold(Ok(()), Result::and)
+        let still_enabled = [&mut self.vs, &mut self.tc].into_iter().filter(|led| led.is_on());
+        still_enabled.map(CellArm::stop).fold(Ok(()), Result::and)
     }
 
     /// Whether an arm has a latched fault or emergency stop.
@@ -233,7 +233,7 @@ impl BothArms {
         arms.sort_by_key(|led| led.arm.is_stopped_by_other());
         let mut failed: Vec<_> = arms.into_iter().filter_map(|led| led.reset().is_err().then_some(led)).collect();
         failed.sort_by_key(|led| led.arm.is_stopped_by_other());
-        failed.into_iter().map(LedArm::reset).fold(Ok(()), Result::and)
+        failed.into_iter().map(CellArm::reset).fold(Ok(()), Result::and)
     }
 
     /// Returns the cause of a latch; an arm that failed by itself takes precedence over one stopped by the other arm.
@@ -257,8 +257,8 @@ impl BothArms {
     /// The failure of an arm; if the other arm caused that stop, the other arm's failure, which may arrive second.
     pub fn traced(&mut self, failure: anyhow::Error) -> anyhow::Error {
         let name = failure.to_string();
-        let is_told = |led: &LedArm| led.name == name && led.arm.is_stopped_by_other();
-        if !is_told(&self.vs) && !is_told(&self.tc) {
+        let is_stopped_by = |led: &CellArm| led.name == name && led.arm.is_stopped_by_other();
+        if !is_stopped_by(&self.vs) && !is_stopped_by(&self.tc) {
             return failure;
         }
         self.why_latched().err().unwrap_or(failure)
@@ -276,7 +276,7 @@ impl BothArms {
 }
 
 /// A failure of an arm for a person. The failure begins with the name of the arm, which most causes repeat.
-pub fn in_words(failure: &anyhow::Error) -> String {
+pub fn error_text(failure: &anyhow::Error) -> String {
     let whole = format!("{failure:#}");
     let name = failure.to_string();
     let rest = whole.strip_prefix(&format!("{name}: ")).filter(|rest| rest.starts_with(&format!("arm {name} ")));
@@ -333,36 +333,36 @@ mod tests {
             arm.raise_fault("an overcurrent");
         }
         arms.look();
-        assert_eq!([&arms.vs, &arms.tc].map(LedArm::condition), [ArmCondition::Fault; 2]);
+        assert_eq!([&arms.vs, &arms.tc].map(CellArm::condition), [ArmCondition::Fault; 2]);
         faults[1].remove_fault_cause();
         let error = format!("{:#}", arms.reset().unwrap_err());
         assert!(error.contains("vs-robot") && error.contains("an overcurrent"), "{error}");
         assert!(arms.is_latched());
         faults[0].remove_fault_cause();
         arms.reset().unwrap();
-        assert_eq!([&arms.vs, &arms.tc].map(LedArm::condition), [ArmCondition::Disabled; 2]);
+        assert_eq!([&arms.vs, &arms.tc].map(CellArm::condition), [ArmCondition::Disabled; 2]);
     }
 
     #[test]
-    fn a_failure_is_told_by_the_arm_that_has_failed_by_itself() {
+    fn a_failure_is_reported_for_the_arm_that_failed_first() {
         let (mut arms, faults) = cell();
         faults[0].raise_fault("an overcurrent");
         arms.vs.look();
-        let heard_first = arms.tc.exchange(JointCommand::Velocity(JointVector::zeros())).unwrap_err();
-        assert!(!format!("{heard_first:#}").contains("an overcurrent"), "{heard_first:#}");
-        let told = format!("{:#}", arms.traced(heard_first));
-        assert!(told.starts_with("vs-robot") && told.contains("an overcurrent"), "{told}");
+        let first_failure = arms.tc.exchange(JointCommand::Velocity(JointVector::zeros())).unwrap_err();
+        assert!(!format!("{first_failure:#}").contains("an overcurrent"), "{first_failure:#}");
+        let text = format!("{:#}", arms.traced(first_failure));
+        assert!(text.starts_with("vs-robot") && text.contains("an overcurrent"), "{text}");
     }
 
     #[test]
-    fn the_name_of_an_arm_is_told_once() {
+    fn the_name_of_an_arm_is_stated_once() {
         let (mut arms, faults) = cell();
         faults[0].raise_fault("an overcurrent");
         arms.vs.look();
         let failure = arms.vs.exchange(JointCommand::Velocity(JointVector::zeros())).unwrap_err();
-        let told = in_words(&failure);
-        assert!(told.starts_with("arm vs-robot (") && told.matches("vs-robot").count() == 1, "{told}");
-        assert_eq!(in_words(&anyhow::anyhow!("late").context("tc-robot")), "tc-robot: late");
+        let text = error_text(&failure);
+        assert!(text.starts_with("arm vs-robot (") && text.matches("vs-robot").count() == 1, "{text}");
+        assert_eq!(error_text(&anyhow::anyhow!("late").context("tc-robot")), "tc-robot: late");
     }
 
     /// Enabled after a number of polls; records its calls and fails on request.
@@ -371,17 +371,17 @@ mod tests {
         polls_left: u32,
         fails_after: usize,
         holds: usize,
-        said: Arc<Mutex<Vec<String>>>,
+        calls: Arc<Mutex<Vec<String>>>,
     }
 
     impl Slow {
-        fn boxed(name: &str, polls_left: u32, fails_after: usize, said: &Arc<Mutex<Vec<String>>>) -> Box<Self> {
+        fn boxed(name: &str, polls_left: u32, fails_after: usize, calls: &Arc<Mutex<Vec<String>>>) -> Box<Self> {
             let info = ArmInfo { name: name.to_owned(), cycle: Duration::from_millis(10) };
-            Box::new(Self { info, polls_left, fails_after, holds: 0, said: Arc::clone(said) })
+            Box::new(Self { info, polls_left, fails_after, holds: 0, calls: Arc::clone(calls) })
         }
 
         fn say(&self, what: &str) {
-            self.said.lock().unwrap().push(format!("{} {what}", self.info.name));
+            self.calls.lock().unwrap().push(format!("{} {what}", self.info.name));
         }
 
         fn failed(&self) -> ArmError {
@@ -432,7 +432,7 @@ mod tests {
         }
     }
 
-    impl DrivenArm for Slow {
+    impl ArmControl for Slow {
         fn statistics(&self) -> LimiterStatistics {
             LimiterStatistics::default()
         }
@@ -440,38 +440,38 @@ mod tests {
 
     /// Two arms, the second of which takes longer to enable, and the record of their calls.
     fn slow(fails_after: usize) -> (BothArms, Arc<Mutex<Vec<String>>>) {
-        let said = Arc::default();
+        let calls = Arc::default();
         let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml");
         let setup = read_setup(Path::new(file)).unwrap();
-        let pair: (Box<dyn DrivenArm>, Box<dyn DrivenArm>) =
-            (Slow::boxed("vs", 3, fails_after, &said), Slow::boxed("tc", 100, usize::MAX, &said));
-        (BothArms::new(&setup, pair, MonotonicTime::ZERO), said)
+        let pair: (Box<dyn ArmControl>, Box<dyn ArmControl>) =
+            (Slow::boxed("vs", 3, fails_after, &calls), Slow::boxed("tc", 100, usize::MAX, &calls));
+        (BothArms::new(&setup, pair, MonotonicTime::ZERO), calls)
     }
 
     #[test]
     fn an_arm_with_open_brakes_is_watched_in_each_cycle_until_the_other_one_is_on() {
         for from in [EnablePosition::Start, EnablePosition::Here] {
-            let (mut arms, said) = slow(usize::MAX);
+            let (mut arms, calls) = slow(usize::MAX);
             for cycle in 1..100 {
-                assert!(!arms.enable(from).unwrap() && arms.is_switching_on());
+                assert!(!arms.enable(from).unwrap() && arms.is_enabling());
                 let at = MonotonicTime::ZERO + Duration::from_millis(10) * cycle;
                 assert_eq!([arms.vs.joints().at, arms.tc.joints().at], [at; 2]);
             }
-            assert!(arms.enable(from).unwrap() && !arms.is_switching_on());
-            assert_eq!(*said.lock().unwrap(), ["vs begin", "tc begin", "vs on", "tc on"]);
+            assert!(arms.enable(from).unwrap() && !arms.is_enabling());
+            assert_eq!(*calls.lock().unwrap(), ["vs begin", "tc begin", "vs on", "tc on"]);
         }
     }
 
     #[test]
-    fn an_arm_that_fails_while_the_other_one_is_switched_on_stops_both() {
-        let (mut arms, said) = slow(50);
+    fn an_arm_that_fails_while_the_other_one_is_enabled_stops_both() {
+        let (mut arms, calls) = slow(50);
         let failure = (0..100).find_map(|_| arms.enable(EnablePosition::Start).err()).unwrap();
         assert_eq!(format!("{failure:#}"), "vs-robot: vs ran away");
         arms.stop().unwrap();
-        assert!(!arms.is_switching_on());
+        assert!(!arms.is_enabling());
         let order = ["vs begin", "tc begin", "vs on", "vs begin to stop", "tc begin to stop", "vs stop", "tc stop"];
         assert_eq!(
-            *said.lock().unwrap(),
+            *calls.lock().unwrap(),
             order,
             "the second arm must not be enabled, and no arm waits for the other one's brakes"
         );

@@ -284,7 +284,7 @@ mod tests {
     #[test]
     fn a_request_that_waited_too_long_is_refused_and_sets_nothing() {
         let (desk, end) = control_desk();
-        let (tell, told) = std::sync::mpsc::channel();
+        let (tell, outcomes) = std::sync::mpsc::channel();
         let ask = |value: i32, until: MonotonicTime| {
             let tell = tell.clone();
             let answer = Box::new(move |result| tell.send((value, result)).unwrap());
@@ -294,10 +294,10 @@ mod tests {
         ask(2, at(30)).unwrap();
         let taken = end.next(at(20)).unwrap();
         assert_eq!(taken.request, ControlRequest::Set { side: 0, id: 1, value: 2 });
-        let (value, result) = told.try_recv().unwrap();
+        let (value, result) = outcomes.try_recv().unwrap();
         assert!(value == 1 && result.is_err_and(|error| error.contains("nothing was set")));
         (taken.answer)(Ok(()));
-        assert_eq!(told.try_recv().unwrap(), (2, Ok(())));
+        assert_eq!(outcomes.try_recv().unwrap(), (2, Ok(())));
         for number in 0..REQUESTS_MAX {
             ask(number as i32, at(99)).unwrap();
         }

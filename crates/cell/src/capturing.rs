@@ -14,7 +14,7 @@ use super::cell::SimulatedCell;
 use super::halves::Capture;
 use super::losses::Losses;
 pub use super::perception::Captured;
-use super::perception::{PoseCamera, Sight};
+use super::perception::{PoseCamera, VisionInput};
 use crate::perception::View;
 
 /// A camera with its loss count.
@@ -46,9 +46,9 @@ struct ImageCamera {
 
 impl Capturing {
     /// A camera without any frame yet.
-    pub fn new(setup: &Setup, sight: Sight, cell: SimulatedCell) -> Self {
-        let camera = match sight {
-            Sight::Images(camera) => Camera::Images(ImageCamera {
+    pub fn new(setup: &Setup, vision_input: VisionInput, cell: SimulatedCell) -> Self {
+        let camera = match vision_input {
+            VisionInput::Images(camera) => Camera::Images(ImageCamera {
                 before: Arc::new(FramePair::black(camera.info().size)),
                 pool: Vec::new(),
                 has_noise: setup
@@ -57,7 +57,7 @@ impl Capturing {
                     .is_none_or(|world| world.sensor.read_noise_grey > 0.0 || world.sensor.shot_noise_grey > 0.0),
                 camera,
             }),
-            Sight::Geometric(camera) => Camera::Geometric(camera),
+            VisionInput::Geometric(camera) => Camera::Geometric(camera),
         };
         let (timeout, has_truth) = (setup.rig.frames.period * 2, setup.world.is_some());
         Self { camera, cell, has_truth, timeout, pairs_lost: 0, losses: Losses::default(), exposed: None }

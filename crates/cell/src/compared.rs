@@ -19,14 +19,14 @@ use crate::perception::NOT_SELECTED;
 use crate::true_surface::true_model_frame;
 
 /// One compared method.
-pub struct Onlooker {
+pub struct ComparedMethod {
     method: Method,
     follower: Follower,
     has_target: bool,
     log: MethodLog,
 }
 
-impl Onlooker {
+impl ComparedMethod {
     /// The methods that a setup compares with the leading one.
     ///
     /// # Errors

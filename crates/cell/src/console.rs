@@ -25,7 +25,7 @@ use super::person::KeyRequest;
 use super::selection::Selections;
 
 /// Commands that no control step has taken yet; `stop`, `hold` and `hold hand` need no space in this queue.
-const WORDS_MAX: usize = 16;
+const COMMANDS_MAX: usize = 16;
 /// Answers that are not written yet.
 const ANSWERS_MAX: usize = 64;
 /// Results of commands that are not written yet.
@@ -39,9 +39,9 @@ const DISCARDS_FOR: Duration = Duration::from_millis(300);
 
 /// Operator commands from a console, one on each line. The end of the input ends the run, as `quit` does.
 pub struct Console {
-    words: Consumer<GivenCommand>,
+    commands: Consumer<GivenCommand>,
     shared: Arc<Shared>,
-    heard_at: Option<MonotonicTime>,
+    heartbeat_at: Option<MonotonicTime>,
     /// Longest time without a key; `None` if the open console is the sign of life.
     key_within: Option<Duration>,
     key_request: KeyRequest,
@@ -86,7 +86,7 @@ enum CommandResult {
 struct GivenCommand {
     /// Number of the command, in the order of typing.
     number: u64,
-    said: OperatorRequest,
+    request: OperatorRequest,
     /// Number of the selection that travels with a `select`.
     offer: Option<u64>,
 }
@@ -120,19 +120,19 @@ struct Shared {
 struct Urgent {
     /// Number of the command; 0 after it was taken.
     number: AtomicU64,
-    said_nanos: AtomicU64,
+    requested_nanos: AtomicU64,
 }
 
 impl Urgent {
     fn say(&self, number: u64, at: MonotonicTime) {
-        self.said_nanos.store(at.as_nanos(), Ordering::SeqCst);
+        self.requested_nanos.store(at.as_nanos(), Ordering::SeqCst);
         self.number.store(number, Ordering::SeqCst);
     }
 
     fn take(&self) -> Option<(u64, MonotonicTime)> {
         match self.number.swap(0, Ordering::SeqCst) {
             0 => None,
-            number => Some((number, MonotonicTime::from_nanos(self.said_nanos.load(Ordering::SeqCst)))),
+            number => Some((number, MonotonicTime::from_nanos(self.requested_nanos.load(Ordering::SeqCst)))),
         }
     }
 }
@@ -155,21 +155,21 @@ impl Console {
         answers: impl Write + Send + 'static,
         ConsoleOptions { interrupt, prompt, targets }: ConsoleOptions,
     ) -> Result<Self> {
-        let (give, words) = RingBuffer::new(WORDS_MAX);
-        let (say, said) = sync_channel(ANSWERS_MAX);
+        let (give, commands) = RingBuffer::new(COMMANDS_MAX);
+        let (say, answer_lines) = sync_channel(ANSWERS_MAX);
         let (results, decided) = RingBuffer::new(RESULTS_MAX);
         let shared = Arc::new(Shared::default());
         let shown = Arc::clone(&shared);
         let selections = targets.as_ref().map(|targets| targets.selections.clone());
-        let write = move || write_all(&said, (decided, &shown), (answers, prompt));
+        let write = move || write_all(&answer_lines, (decided, &shown), (answers, prompt));
         Builder::new().name("answers".to_owned()).spawn(write).context("no thread for the answers of the console")?;
         let reading = Reading::new((clock, Arc::clone(&shared)), (give, say), (interrupt, targets));
         let read = move || reading.read(lines);
         Builder::new().name("console".to_owned()).spawn(read).context("no thread for the console")?;
         Ok(Self {
-            words,
+            commands,
             shared,
-            heard_at: None,
+            heartbeat_at: None,
             key_within: None,
             key_request: KeyRequest::default(),
             begun_at: None,
@@ -191,20 +191,20 @@ impl Console {
     }
 
     /// The last sign of life.
-    fn heard_at(&self, begun_at: MonotonicTime, now: MonotonicTime) -> Option<MonotonicTime> {
+    fn heartbeat_at(&self, begun_at: MonotonicTime, now: MonotonicTime) -> Option<MonotonicTime> {
         if self.key_within.is_some() {
             let typed_at = MonotonicTime::from_nanos(self.shared.typed_nanos.load(Ordering::SeqCst));
             return Some(typed_at.clamp(begun_at, now.max(begun_at)));
         }
         // An open console counts as a sign of life, even while the operator types nothing.
-        if self.shared.is_closed.load(Ordering::SeqCst) { self.heard_at } else { Some(now) }
+        if self.shared.is_closed.load(Ordering::SeqCst) { self.heartbeat_at } else { Some(now) }
     }
 
     /// Asks for a key in time, once after each sign of life, while an arm may move.
     fn ask_for_key(&mut self, decision: &Decision, now: MonotonicTime) {
-        let (Some(key_within), Some(heard_at)) = (self.key_within, self.heard_at) else { return };
+        let (Some(key_within), Some(heartbeat_at)) = (self.key_within, self.heartbeat_at) else { return };
         let may_move = decision.state.is_moving() || (decision.state.is_resting() && !decision.no_arm_may_move);
-        if may_move && self.key_request.is_due(key_within, heard_at, now) {
+        if may_move && self.key_request.is_due(key_within, heartbeat_at, now) {
             self.shared.asks_for_key.store(true, Ordering::SeqCst);
         }
     }
@@ -238,27 +238,27 @@ impl Console {
         std::mem::replace(&mut self.was_awaited, is_awaited) || is_awaited
     }
 
-    fn next_word(&mut self) -> Option<(OperatorRequest, Option<u64>)> {
+    fn next_command(&mut self) -> Option<(OperatorRequest, Option<u64>)> {
         let Shared { stop, hold, hold_hand, .. } = &*self.shared;
         let urgent =
             [(stop, OperatorCommand::Stop), (hold, OperatorCommand::Hold), (hold_hand, OperatorCommand::HoldHand)];
-        for (urgent, word) in urgent {
+        for (urgent, command) in urgent {
             if let Some((number, at)) = urgent.take() {
                 if number > self.overtaken {
-                    (self.overtaken, self.overtaken_by) = (number, word);
+                    (self.overtaken, self.overtaken_by) = (number, command);
                 }
-                return Some((OperatorRequest { word, at }, None));
+                return Some((OperatorRequest { command, at }, None));
             }
         }
-        while let Ok(GivenCommand { number, said, offer }) = self.words.pop() {
-            if number > self.overtaken && said.at >= self.discarded_until {
-                return Some((said, offer));
+        while let Ok(GivenCommand { number, request, offer }) = self.commands.pop() {
+            if number > self.overtaken && request.at >= self.discarded_until {
+                return Some((request, offer));
             }
             self.drop_offer(offer);
             if number > self.overtaken {
                 self.shared.has_discarded.store(true, Ordering::SeqCst);
             } else {
-                self.report(CommandResult::Overtaken(said.word, self.overtaken_by));
+                self.report(CommandResult::Overtaken(request.command, self.overtaken_by));
             }
         }
         None
@@ -283,20 +283,20 @@ impl Operator for Console {
         if now < before || now.saturating_since(before) > SUSPENDED_AFTER {
             self.discarded_until = now + DISCARDS_FOR;
         }
-        self.heard_at = self.heard_at(begun_at, now);
+        self.heartbeat_at = self.heartbeat_at(begun_at, now);
         if let Some(last) = last {
             self.ask_for_key(last, now);
         }
         let awaits_target = self.awaits_target();
-        let next = self.next_word();
-        let (said, offer) = next.map_or((None, None), |(said, offer)| (Some(said), offer));
-        let mut said = said.map(|said| OperatorRequest { at: said.at.max(begun_at), ..said });
-        if awaits_target && said.is_some_and(|said| said.word == OperatorCommand::Start) {
-            said = None;
+        let next = self.next_command();
+        let (request, offer) = next.map_or((None, None), |(request, offer)| (Some(request), offer));
+        let mut request = request.map(|request| OperatorRequest { at: request.at.max(begun_at), ..request });
+        if awaits_target && request.is_some_and(|request| request.command == OperatorCommand::Start) {
+            request = None;
             self.report(CommandResult::Awaited);
         }
-        self.commanded = said.map(|said| (said.word, offer));
-        OperatorInput { said, heard_at: self.heard_at, silent_after: self.key_within }
+        self.commanded = request.map(|request| (request.command, offer));
+        OperatorInput { request, heartbeat_at: self.heartbeat_at, silent_after: self.key_within }
     }
 
     fn show(&mut self, decision: &Decision) {

@@ -11,7 +11,7 @@ use super::devices::{LinkCounts, LinkMonitor};
 
 /// Counters of one thread in a real-time run.
 #[derive(Debug, Default)]
-pub struct Beat {
+pub struct ThreadTiming {
     /// Lateness of its cycles.
     pub lateness: JitterMeter,
     /// Skipped cycles.
@@ -24,13 +24,13 @@ pub struct Beat {
 #[derive(Debug, Default)]
 pub struct Punctuality {
     /// From the end of the exposure to the frame; frames that did not arrive, and frames that were overwritten.
-    pub capture: Beat,
+    pub capture: ThreadTiming,
     /// From the frame to the estimate at the motion half; percepts that were overwritten, and results that were not recorded.
-    pub estimation: Beat,
+    pub estimation: ThreadTiming,
     /// From the time of a control step to its begin; steps that were not consumed.
-    pub control: Beat,
+    pub control: ThreadTiming,
     /// From an estimate to its record; control steps that arrived too late for a true pose.
-    pub recording: Beat,
+    pub recording: ThreadTiming,
 }
 
 impl Punctuality {
@@ -85,9 +85,9 @@ impl CycleSummary {
         }
     }
 
-    fn of_thread(name: &str, period: Duration, beat: &Beat) -> Self {
-        let Beat { missed, dropped, .. } = *beat;
-        Self { missed, dropped, ..Self::new(name, period, &beat.lateness.summary()) }
+    fn of_thread(name: &str, period: Duration, timing: &ThreadTiming) -> Self {
+        let ThreadTiming { missed, dropped, .. } = *timing;
+        Self { missed, dropped, ..Self::new(name, period, &timing.lateness.summary()) }
     }
 
     /// Timing of an arm's link.

@@ -8,12 +8,12 @@ use pb3dp_hal_platform::jitter::Jitter;
 use pb3dp_kinematics::DOF;
 
 /// An arm with its limiter: motion, power, and limiter statistics.
-pub trait DrivenArm: Arm + ArmPower {
+pub trait ArmControl: Arm + ArmPower {
     /// How often the limiter has intervened.
     fn statistics(&self) -> LimiterStatistics;
 }
 
-impl<A: Arm + ArmPower> DrivenArm for Limiter<A> {
+impl<A: Arm + ArmPower> ArmControl for Limiter<A> {
     fn statistics(&self) -> LimiterStatistics {
         Self::statistics(self)
     }

@@ -138,7 +138,7 @@ impl DriftSummary {
 struct Series {
     quantity: Quantity,
     newest: VecDeque<f64>,
-    is_told: bool,
+    is_warned: bool,
     summary: DriftSummary,
 }
 
@@ -160,7 +160,7 @@ impl Series {
                 Quantity::Skew => None,
             },
         };
-        Self { quantity, newest: VecDeque::with_capacity(LOOKS), is_told: false, summary }
+        Self { quantity, newest: VecDeque::with_capacity(LOOKS), is_warned: false, summary }
     }
 
     /// Adds a sample; returns a message if the state changes.
@@ -189,11 +189,11 @@ impl Series {
         if self.summary.worst.is_none_or(|worst| median.abs() > worst.abs()) {
             self.summary.worst = Some(median);
         }
-        let is_far = median.abs() > if self.is_told { GOOD_SHARE * limit } else { limit };
-        if is_far == self.is_told {
+        let is_far = median.abs() > if self.is_warned { GOOD_SHARE * limit } else { limit };
+        if is_far == self.is_warned {
             return None;
         }
-        self.is_told = is_far;
+        self.is_warned = is_far;
         let found = format!("{quantity}: {median:.2} {unit}, limit {limit:.2}");
         Some(match is_far {
             true => format!("camera drift: {found}; {}", self.quantity.advice()),
@@ -350,8 +350,8 @@ mod tests {
         let mut watch = DriftWatch::new(CONFIG, rig, (is_synchronous, WhenCalibrated::default())).unwrap();
         let look = |k: u64| watch.look(MonotonicTime::from_nanos(k * 500_000_000), skew_s, pair);
         // Ten seconds of pairs at half-second intervals.
-        let said = (0..20).flat_map(look).collect();
-        (said, watch.summaries())
+        let warnings = (0..20).flat_map(look).collect();
+        (warnings, watch.summaries())
     }
 
     fn values(found: &[DriftSummary]) -> Vec<f64> {
@@ -361,14 +361,14 @@ mod tests {
     #[test]
     fn a_pair_that_fits_its_calibration_says_nothing() {
         let case = case();
-        let (said, found) = watched(&case.load_calibration().unwrap().rig, &pair(&case), 0.2e-3, true);
-        assert!(said.is_empty(), "{said:?}");
+        let (warnings, found) = watched(&case.load_calibration().unwrap().rig, &pair(&case), 0.2e-3, true);
+        assert!(warnings.is_empty(), "{warnings:?}");
         assert!(found.iter().all(|one| one.looks == 5 && one.blind_looks == 0 && !one.was_too_far()), "{found:#?}");
         assert!((values(&found)[3] - 0.2).abs() < 1e-9, "{found:#?}");
     }
 
     #[test]
-    fn each_eye_that_has_changed_is_told_by_what_has_changed() {
+    fn each_changed_camera_is_reported_with_its_change() {
         let case = case();
         let rig = case.load_calibration().unwrap().rig;
         let sound = pair(&case);
@@ -381,14 +381,17 @@ mod tests {
         );
         let nodded = StereoRig::new(*rig.left(), *rig.right(), nod * *rig.cam_right_from_cam_left()).unwrap();
         let by_px = rig.right().pinhole().fy * 0.1_f64.to_radians();
-        let (said, found) = watched(&nodded, &sound, 0.0, true);
+        let (warnings, found) = watched(&nodded, &sound, 0.0, true);
         assert!((values(&found)[0] - by_px).abs() < 0.3 + before[0], "{} px, {by_px} expected", values(&found)[0]);
-        assert!(said.len() == 1 && said[0].contains("misalignment") && said[0].contains("calibrate again"), "{said:?}");
+        assert!(
+            warnings.len() == 1 && warnings[0].contains("misalignment") && warnings[0].contains("calibrate again"),
+            "{warnings:?}"
+        );
 
         // The measured blur equals the applied blur; the other values stay.
         let softer = FramePair { right: image::imageops::blur(&sound.right, 1.5), ..sound.clone() };
-        let (said, found) = watched(&rig, &softer, 0.0, true);
-        assert!(said.len() == 1 && said[0].contains("blur difference"), "{said:?}");
+        let (warnings, found) = watched(&rig, &softer, 0.0, true);
+        assert!(warnings.len() == 1 && warnings[0].contains("blur difference"), "{warnings:?}");
         assert!((values(&found)[1] - 1.5).abs() < 0.4, "{found:#?}");
         let (_, found) =
             watched(&rig, &FramePair { left: image::imageops::blur(&sound.left, 1.5), ..sound.clone() }, 0.0, true);
@@ -400,22 +403,22 @@ mod tests {
             darker.iter_mut().for_each(|level| *level = (f64::from(*level) * 2.0 / 3.0) as u8);
             darker
         };
-        let (said, found) = watched(&rig, &FramePair { left: darker(&sound.left), ..sound.clone() }, 0.0, true);
-        assert!(said.len() == 1 && said[0].contains("right image brighter"), "{said:?}");
+        let (warnings, found) = watched(&rig, &FramePair { left: darker(&sound.left), ..sound.clone() }, 0.0, true);
+        assert!(warnings.len() == 1 && warnings[0].contains("right image brighter"), "{warnings:?}");
         assert!((values(&found)[2] - 100.0 / 3.0).abs() < 8.0, "{found:#?}");
 
-        let (said, _) = watched(&rig, &sound, -2e-3, true);
-        assert!(said.len() == 1 && said[0].contains("-2.00 ms, limit 1.00"), "{said:?}");
-        let (said, found) = watched(&rig, &sound, -2e-3, false);
-        assert!(said.is_empty() && found.len() == 3, "{said:?} {found:#?}");
+        let (warnings, _) = watched(&rig, &sound, -2e-3, true);
+        assert!(warnings.len() == 1 && warnings[0].contains("-2.00 ms, limit 1.00"), "{warnings:?}");
+        let (warnings, found) = watched(&rig, &sound, -2e-3, false);
+        assert!(warnings.is_empty() && found.len() == 3, "{warnings:?} {found:#?}");
     }
 
     #[test]
     fn images_without_texture_are_blind_looks() {
         let case = case();
         let size = case.load_calibration().unwrap().rig.left().size();
-        let (said, found) = watched(&case.load_calibration().unwrap().rig, &FramePair::black(size), 0.0, true);
-        assert!(said.is_empty(), "{said:?}");
+        let (warnings, found) = watched(&case.load_calibration().unwrap().rig, &FramePair::black(size), 0.0, true);
+        assert!(warnings.is_empty(), "{warnings:?}");
         assert_eq!((found[0].looks, found[0].blind_looks, found[1].blind_looks), (0, 5, 5));
         let cells = format!("{:?}", table(&found));
         assert!(cells.contains("unknown"), "{cells}");
@@ -433,9 +436,9 @@ mod tests {
             DriftWatch::new(CONFIG, &rig, (true, WhenCalibrated { rows_px: Some(0.2), focus_px, brightness_percent }))
                 .unwrap();
         let look = |k: u64| watch.look(MonotonicTime::from_nanos(k * 2_000_000_000), 0.0, &softer);
-        let said: Vec<String> = (0..6).flat_map(look).collect();
+        let warnings: Vec<String> = (0..6).flat_map(look).collect();
         let found = watch.summaries();
-        assert!(said.is_empty(), "{said:?}");
+        assert!(warnings.is_empty(), "{warnings:?}");
         assert!(found[1].at_last.is_some_and(|px| px.abs() < 0.01), "{found:#?}");
         assert!(found[2].at_last.is_some_and(|percent| percent.abs() < 0.01), "{found:#?}");
         assert_eq!([found[0].when_calibrated, found[1].when_calibrated], [Some(0.2), focus_px]);
@@ -445,20 +448,20 @@ mod tests {
     }
 
     /// Verdicts for these values, one sample each.
-    fn said_of(values: &[f64]) -> Vec<Option<bool>> {
+    fn warnings_of(values: &[f64]) -> Vec<Option<bool>> {
         let mut series = Series::new(Quantity::Rows, (&CONFIG, &WhenCalibrated::default()));
         let verdict = |line: String| !line.contains("drift gone");
         values.iter().map(|&value| series.push(Some(value)).map(verdict)).collect()
     }
 
     #[test]
-    fn one_bad_look_says_nothing_and_what_lasts_is_told_once() {
+    fn one_bad_measurement_reports_nothing_and_a_lasting_one_is_reported_once() {
         let calm = [0.1; 5];
-        assert!(said_of(&[&calm[..], &[9.0, f64::NAN, 9.0], &calm[..]].concat()).iter().all(Option::is_none));
-        let bad = said_of(&[&calm[..], &[-0.6; 20]].concat());
+        assert!(warnings_of(&[&calm[..], &[9.0, f64::NAN, 9.0], &calm[..]].concat()).iter().all(Option::is_none));
+        let bad = warnings_of(&[&calm[..], &[-0.6; 20]].concat());
         assert_eq!((bad.iter().flatten().count(), bad[7]), (1, Some(true)), "{bad:?}");
         // A value just below the limit does not end the excess, and its end is reported once.
-        let wavering = said_of(&[&[0.6; 5][..], &[0.45; 10], &[0.55; 10], &[0.3; 10]].concat());
+        let wavering = warnings_of(&[&[0.6; 5][..], &[0.45; 10], &[0.55; 10], &[0.3; 10]].concat());
         assert_eq!(wavering.into_iter().flatten().collect::<Vec<_>>(), [true, false]);
     }
 

@@ -10,13 +10,13 @@ use pb3dp_setup::setup::Setup;
 use super::cell::SimulatedCell;
 use super::cycles::CycleSummary;
 use super::flight::{FaultWatch, KeepFlights};
-use super::halves::{Course, Record, first_failure};
+use super::halves::{Record, RunContext, first_failure};
 use super::journal::{Journal, Outcome, TruePoses};
-use super::looking::Looking;
-use super::moving::{Moved, Moving};
+use super::moving::{Moving, StepRecord};
 use super::parts::Parts;
 use super::spectator::{RunEnd, Spectator};
-use crate::noting::PairEstimate;
+use super::vision::Vision;
+use crate::estimate_log::PairEstimate;
 
 /// Longest run led by a console operator, seconds: the record stays in memory until `quit` or until this time.
 pub const LED_BY_PERSON_MAX_S: f64 = 3600.0;
@@ -63,14 +63,15 @@ pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: O
     if let Some(folder) = record {
         journal = journal.record_to(folder, marking.clone())?;
     }
-    let Looking { mut capturing, estimating } = Looking::new(setup, (camera, cell.clone(), marking), &clock)?;
+    let Vision { mut capturing, estimating } = Vision::new(setup, (camera, cell.clone(), marking), &clock)?;
     let mut estimating = estimating.with_selections(parts.selections).with_controls(parts.camera_controls);
     let mut moving = Moving::new(setup, (vs, tc), &*experiment, now)?.with_operator(operator);
     let mut keeping =
-        Keeping { journal, cell, spectators: parts.spectators, faults: FaultWatch::default(), keep_flights };
-    let course = Course { setup, clock: &clock, duration: Duration::from_secs_f64(ends_s), interrupt: &interrupt };
-    let (how, punctuality) = course.run((&mut capturing, &mut estimating, &mut keeping), &mut moving);
-    let Keeping { mut journal, spectators, faults, .. } = keeping;
+        RunRecords { journal, cell, spectators: parts.spectators, faults: FaultWatch::default(), keep_flights };
+    let run_context =
+        RunContext { setup, clock: &clock, duration: Duration::from_secs_f64(ends_s), interrupt: &interrupt };
+    let (how, punctuality) = run_context.run((&mut capturing, &mut estimating, &mut keeping), &mut moving);
+    let RunRecords { mut journal, spectators, faults, .. } = keeping;
     let recorded = journal.finish_recording();
     let end = RunEnd {
         pairs_lost: capturing.pairs_lost(),
@@ -95,7 +96,7 @@ pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: O
 }
 
 /// The recording part of the vision half.
-struct Keeping<'a> {
+struct RunRecords<'a> {
     journal: Journal<'a>,
     cell: SimulatedCell,
     spectators: Vec<Box<dyn Spectator>>,
@@ -103,25 +104,25 @@ struct Keeping<'a> {
     keep_flights: KeepFlights,
 }
 
-impl Record<Moved, PairEstimate> for Keeping<'_> {
+impl Record<StepRecord, PairEstimate> for RunRecords<'_> {
     fn begin_at(&mut self, begin: MonotonicTime) {
         self.cell.begin_at(begin);
         self.journal.begin_at(begin);
         self.spectators.iter_mut().for_each(|spectator| spectator.begin_at(begin));
     }
 
-    fn moved(&mut self, step: &Moved) {
+    fn moved(&mut self, step: &StepRecord) {
         let poses = TruePoses::at(&self.cell, step.at);
         self.journal.note(step, poses);
         self.spectators.iter_mut().for_each(|spectator| spectator.moved(step, poses));
         if let Some(number) = self.faults.due(step.at, &step.decision) {
-            (self.keep_flights)(number, &anyhow!(self.journal.words(&step.decision.why)));
+            (self.keep_flights)(number, &anyhow!(self.journal.text_of(&step.decision.why)));
             self.spectators.iter_mut().for_each(|spectator| spectator.fault(number));
         }
     }
 
-    fn note(&mut self, seen: PairEstimate) -> Result<()> {
-        self.spectators.iter_mut().for_each(|spectator| spectator.seen(&seen));
-        self.journal.note_pair(&seen)
+    fn note(&mut self, pair_estimate: PairEstimate) -> Result<()> {
+        self.spectators.iter_mut().for_each(|spectator| spectator.estimated(&pair_estimate));
+        self.journal.note_pair(&pair_estimate)
     }
 }

@@ -17,7 +17,7 @@ pub enum Verdict {
 }
 
 impl Verdict {
-    fn word(self) -> &'static str {
+    fn command(self) -> &'static str {
         match self {
             Self::NotChecked => "-",
             Self::Pass => "pass",
@@ -132,7 +132,7 @@ impl Finding {
     /// As text, with verdicts of this width; the remedy has its own line.
     pub fn text(&self, width: usize) -> String {
         let Self { check, verdict, value, unit, limits, found, advice } = self;
-        let mut text = format!("{:<width$} {check}: ", verdict.word());
+        let mut text = format!("{:<width$} {check}: ", verdict.command());
         if let Some(value) = value {
             text += &format!("{value:.2} {unit} ({}){}", limits.text(), if found.is_empty() { "" } else { "; " });
         }

@@ -184,7 +184,7 @@ fn head(arm: &str, (flight, entries): (&Flight<'_>, &[FlightEntry]), failure: &a
             "state_before": own.state_before,
         })),
         "counts": flight.counts,
-        "kind": fault.map(|fault| kind_word(fault.kind())),
+        "kind": fault.map(|fault| kind_name(fault.kind())),
         "joint": fault.and_then(ArmError::joint),
         "code": fault.and_then(ArmError::code),
         "cause": format!("{failure:#}"),
@@ -200,8 +200,8 @@ fn recorded_fault(entries: &[FlightEntry]) -> Option<ArmFault> {
         at: first.done,
         joint: None,
         code: None,
-        cause: format!("the arm shows {}", state_word(first.state)),
-        state_before: before.map_or("not recorded", |before| state_word(entries[before].state)).to_owned(),
+        cause: format!("the arm shows {}", state_name(first.state)),
+        state_before: before.map_or("not recorded", |before| state_name(entries[before].state)).to_owned(),
     })
 }
 
@@ -227,9 +227,9 @@ fn line(entry: &FlightEntry) -> Value {
         "asked": asked,
         "answer": match entry.answer {
             Ok(_) => "ok",
-            Err(kind) => kind_word(kind),
+            Err(kind) => kind_name(kind),
         },
-        "state": state_word(entry.state),
+        "state": state_name(entry.state),
     });
     if let Some(velocity) = velocity {
         line["velocity_rad_per_s"] = json!(velocity);
@@ -251,7 +251,7 @@ fn seconds(at: MonotonicTime) -> f64 {
     at.saturating_since(MonotonicTime::ZERO).as_secs_f64()
 }
 
-fn kind_word(kind: ArmErrorKind) -> &'static str {
+fn kind_name(kind: ArmErrorKind) -> &'static str {
     match kind {
         ArmErrorKind::Rejected => "rejected",
         ArmErrorKind::NotEnabled => "not-enabled",
@@ -262,7 +262,7 @@ fn kind_word(kind: ArmErrorKind) -> &'static str {
     }
 }
 
-fn state_word(state: ArmState) -> &'static str {
+fn state_name(state: ArmState) -> &'static str {
     match state {
         ArmState::Disabled => "disabled",
         ArmState::Enabled => "enabled",

@@ -97,19 +97,19 @@ impl Follower {
         if let Some(region) = region {
             let model = self.model.take();
             let estimate = self.tracker.estimate(
-                EstimateRequest::of_target(left, right, region, &self.range)
+                EstimateRequest::new_target(left, right, region, &self.range)
                     .with_model(model.as_ref())
                     .with_skew(prior.skew_s)
                     .until(may_continue),
             )?;
             self.marked = Some((region.clone(), 1));
             // In a later pair nobody knows where its frame is.
-            self.gone = (model.is_some() && self.tracker.wants_region()).then(|| estimate.reason.clone());
+            self.gone = (model.is_some() && self.tracker.needs_new_region()).then(|| estimate.reason.clone());
             return Ok(estimate);
         }
         let Some((region, tries)) = &mut self.marked else { return Err(EstimationError::NotStarted) };
-        if !self.tracker.wants_region() {
-            return self.tracker.estimate(EstimateRequest::of_next(left, right, prior).until(may_continue));
+        if !self.tracker.needs_new_region() {
+            return self.tracker.estimate(EstimateRequest::next_frame(left, right, prior).until(may_continue));
         }
         if let Some(reason) = &self.gone {
             return Ok(TrackEstimate::without_pose(Status::Lost, reason.clone()));
@@ -119,7 +119,7 @@ impl Follower {
         }
         *tries += 1;
         self.tracker.estimate(
-            EstimateRequest::of_target(left, right, region, &self.range).with_skew(prior.skew_s).until(may_continue),
+            EstimateRequest::new_target(left, right, region, &self.range).with_skew(prior.skew_s).until(may_continue),
         )
     }
 }

@@ -103,7 +103,7 @@ pub trait Record<S, O> {
     ///
     /// # Errors
     /// If the record cannot be written.
-    fn note(&mut self, _seen: O) -> Result<()> {
+    fn note(&mut self, _observed: O) -> Result<()> {
         Ok(())
     }
 }
@@ -114,7 +114,7 @@ impl<S, O> Record<S, O> for () {}
 pub type VisionParts<'a, C, E, R> = (&'a mut C, &'a mut E, &'a mut R);
 
 /// Duration and clock of a run of both halves.
-pub struct Course<'a> {
+pub struct RunContext<'a> {
     /// Setup, with all periods.
     pub setup: &'a Setup,
     /// The clock.
@@ -152,13 +152,13 @@ impl<'a, M: Mover> Enabled<'a, M> {
     ///
     /// # Errors
     /// As [`Mover::enable`]; both arms are then stopped.
-    pub fn new(course: &Course<'_>, mover: &'a mut M) -> Result<Self> {
+    pub fn new(run_context: &RunContext<'_>, mover: &'a mut M) -> Result<Self> {
         let enabled = Self { mover, is_stopped: false };
-        let mut next = course.clock.now();
-        while !enabled.mover.enable()? && !course.interrupt.load(Ordering::SeqCst) {
+        let mut next = run_context.clock.now();
+        while !enabled.mover.enable()? && !run_context.interrupt.load(Ordering::SeqCst) {
             // A cycle whose time has passed is skipped.
-            next = (next + course.setup.control_period).max(course.clock.now());
-            course.clock.sleep_until(next);
+            next = (next + run_context.setup.control_period).max(run_context.clock.now());
+            run_context.clock.sleep_until(next);
         }
         Ok(enabled)
     }

@@ -13,15 +13,15 @@ use pb3dp_hal_api::{CameraErrorKind, Clock, FramePair, StereoCamera};
 use pb3dp_servo::supervisor::FrameInput;
 
 use crate::capturing::Captured;
+use crate::estimate_log::PairEstimate;
 use crate::follower::Follower;
 use crate::losses::Losses;
-use crate::noting::PairEstimate;
 use crate::perception::{NOT_SELECTED, View};
 use crate::selection::{Choice, Selection, Selections};
 use crate::spectator::Spectator;
 
 /// Longest wait for a pair, so that the end of the program is noticed.
-const PATIENCE: Duration = Duration::from_millis(250);
+const CALL_TIMEOUT: Duration = Duration::from_millis(250);
 
 /// Estimation of the target that is selected, for a spectator.
 pub struct ImagesOnly {
@@ -51,13 +51,13 @@ impl ImagesOnly {
         let mut losses = Losses::default();
         while !is_over() {
             let mut pair = FramePair::black(camera.info().size);
-            match camera.next_pair_into(&mut pair, PATIENCE) {
+            match camera.next_pair_into(&mut pair, CALL_TIMEOUT) {
                 Ok(()) => {
                     if let Some(line) = losses.pair_has_come() {
                         tracing::info!("{line}");
                     }
-                    let seen = self.look(Arc::new(pair), &mut progress);
-                    self.spectator.seen(&seen);
+                    let pair_estimate = self.look(Arc::new(pair), &mut progress);
+                    self.spectator.estimated(&pair_estimate);
                 }
                 Err(error) if matches!(error.kind(), CameraErrorKind::Timeout | CameraErrorKind::BadPair) => {
                     if let Some(line) = losses.add(&error.to_string()) {

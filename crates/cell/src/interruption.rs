@@ -24,7 +24,7 @@ const TRIP_MAX: Duration = Duration::from_secs(2);
 const LOOK: Duration = Duration::from_millis(10);
 
 /// Ends the run on the first signal, with both arms stopped. A second signal ends the program at once, unless an arm is on a bus of this
-/// computer. Returns the flag that a signal has arrived. `last_words` is called before the program ends at once.
+/// computer. Returns the flag that a signal has arrived. `final_flush` is called before the program ends at once.
 ///
 /// # Errors
 /// If the system provides no thread.
@@ -32,17 +32,17 @@ pub fn watch(
     mut signals: StopSignals,
     interrupt: &Arc<AtomicBool>,
     on_bus: Vec<ArmOnBus>,
-    last_words: fn(),
+    final_flush: fn(),
 ) -> Result<Arc<AtomicBool>> {
     let (interrupt, was_interrupted) = (Arc::clone(interrupt), Arc::new(AtomicBool::new(false)));
-    let told = Arc::clone(&was_interrupted);
+    let flag = Arc::clone(&was_interrupted);
     let work = move || {
         loop {
             // A failed poll only shortens the wait.
             let _ = poll(&mut [PollFd::from_borrowed_fd(signals.as_fd(), PollFlags::IN)], None);
             let Ok(Some(signal)) = signals.try_take() else { continue };
             interrupt.store(true, Ordering::SeqCst);
-            if !told.swap(true, Ordering::SeqCst) {
+            if !flag.swap(true, Ordering::SeqCst) {
                 tracing::info!("{signal}: stopping both arms, then writing the report");
                 continue;
             }
@@ -59,7 +59,7 @@ pub fn watch(
                 );
                 wait_until_stopped(&on_bus, stop_max, trip_max);
             }
-            last_words();
+            final_flush();
             std::process::exit(i32::from(INTERRUPTED));
         }
     };

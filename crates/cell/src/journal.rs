@@ -1,4 +1,4 @@
-//! The history of a run for its report: control steps together with the true poses; estimates are added in [`crate::noting`].
+//! The history of a run for its report: control steps together with the true poses; estimates are added in [`crate::estimate_log`].
 
 use std::path::Path;
 
@@ -15,12 +15,12 @@ use super::capturing::Captured;
 use super::cell::SimulatedCell;
 use super::channels::Plan;
 use super::commands::CommandSummary;
-use super::compared::{Frame, Onlooker};
+use super::compared::{ComparedMethod, Frame};
 use super::drift::DriftWatch;
+use super::estimate_log::{PairEstimate, PairRecords, outline_px};
 use super::log::{ArmSample, ControlSample, Lock, MethodLog, RunLog};
-use super::moving::Moved;
-use super::noting::{PairEstimate, PairRecords, outline_px};
-use super::perception::{Marking, View};
+use super::moving::StepRecord;
+use super::perception::{TargetSource, View};
 use super::recording::Recording;
 use super::strip::Strip;
 use super::supervision::TransitionNote;
@@ -29,7 +29,7 @@ use crate::true_surface::true_model_frame;
 /// Interval of progress messages, seconds of the experiment.
 const PROGRESS_EVERY_S: f64 = 5.0;
 
-/// Time after the begin in which it is no news that the first pair is on its way, seconds. Chosen: the slowest camera delivers ten pairs.
+/// Grace period for the first pair, seconds. Chosen: the slowest camera delivers ten pairs.
 const FIRST_PAIR_WITHIN_S: f64 = 1.0;
 
 /// Result of a run.
@@ -133,8 +133,8 @@ impl<'a> Journal<'a> {
     }
 
     /// The line of a reason.
-    pub fn words(&self, why: &Why) -> String {
-        self.log.supervision.words(why)
+    pub fn text_of(&self, why: &Why) -> String {
+        self.log.supervision.text_of(why)
     }
 
     /// Sets the start time of the experiment.
@@ -148,7 +148,7 @@ impl<'a> Journal<'a> {
     }
 
     /// Records a step, with the true poses if they are known.
-    pub fn note(&mut self, moved: &Moved, poses: Option<TruePoses>) {
+    pub fn note(&mut self, moved: &StepRecord, poses: Option<TruePoses>) {
         let t_s = moved.at.seconds_since(self.begin);
         let gone = self.log.supervision.gone(t_s, &moved.decision);
         let transition = self.log.supervision.note(t_s, &moved.decision).cloned();
@@ -190,7 +190,7 @@ impl<'a> Journal<'a> {
     }
 
     /// Logs what a step has changed, and the progress.
-    fn tell(&mut self, t_s: f64, moved: &Moved, gone: Option<String>, transition: Option<TransitionNote>) {
+    fn tell(&mut self, t_s: f64, moved: &StepRecord, gone: Option<String>, transition: Option<TransitionNote>) {
         if let Some(gone) = gone {
             tracing::info!("{t_s:7.2} s  {gone}");
         } else if let Some(note) = transition {
@@ -210,7 +210,7 @@ impl<'a> Journal<'a> {
         }
         if t_s >= self.next_progress_s {
             self.next_progress_s += PROGRESS_EVERY_S;
-            tracing::info!("{t_s:5.1} of {:.1} s  {}", self.duration_s, self.words(&moved.decision.why));
+            tracing::info!("{t_s:5.1} of {:.1} s  {}", self.duration_s, self.text_of(&moved.decision.why));
         }
     }
 
@@ -219,7 +219,7 @@ impl<'a> Journal<'a> {
     pub fn finish(self, pairs_lost: u64, commands: Vec<CommandSummary>) -> Outcome {
         let PairRecords { onlookers, strip, drift, .. } = self.pairs;
         let mut log = RunLog {
-            compared: onlookers.into_iter().map(Onlooker::into_log).collect(),
+            compared: onlookers.into_iter().map(ComparedMethod::into_log).collect(),
             drift: drift.map(DriftWatch::summaries).unwrap_or_default(),
             pairs_lost,
             commands,
@@ -245,7 +245,7 @@ impl Journal<'_> {
     ///
     /// # Errors
     /// A run without images.
-    pub fn record_to(mut self, folder: &Path, marking: Marking) -> Result<Self> {
+    pub fn record_to(mut self, folder: &Path, marking: TargetSource) -> Result<Self> {
         if !self.setup.leader.needs_images() {
             bail!("--record: with estimator.method = {:?} there are no images to record", self.setup.leader.name());
         }
@@ -257,10 +257,10 @@ impl Journal<'_> {
     ///
     /// # Errors
     /// If the recording cannot be written.
-    pub fn note_pair(&mut self, seen: &PairEstimate) -> Result<()> {
-        let PairEstimate { captured, region, prior, estimate, latency_millis, age_millis, .. } = seen;
+    pub fn note_pair(&mut self, pair_estimate: &PairEstimate) -> Result<()> {
+        let PairEstimate { captured, region, prior, estimate, latency_millis, age_millis, .. } = pair_estimate;
         let Captured { frame, cam_left_from_target, view } = captured;
-        let cam_left_from_plane = seen.cam_left_from_plane();
+        let cam_left_from_plane = pair_estimate.cam_left_from_plane();
         let t_s = frame.at.seconds_since(self.begin);
         if region.is_some() {
             self.log.lock = None;
@@ -294,8 +294,8 @@ impl Journal<'_> {
         let outline_px = match (recording.is_open(), &*marking, region) {
             (true, ..) => None,
             // The recording begins with the first target.
-            (false, Marking::Awaited, None) => return Ok(()),
-            (false, Marking::Awaited, Some(region)) => Some(outline_px(region.clone(), estimate)),
+            (false, TargetSource::FromOperator, None) => return Ok(()),
+            (false, TargetSource::FromOperator, Some(region)) => Some(outline_px(region.clone(), estimate)),
             (false, marking, _) => {
                 Some(outline_px(marking.region(self.setup, cam_left_from_target.as_ref())?, estimate))
             }

@@ -92,7 +92,7 @@ mod tests {
     use super::*;
 
     /// A real pair as lenses with these coefficients would show it, with its calibration of two readings.
-    fn seen(lens: LensModel, k: [f64; 4]) -> (StereoCalibration, [RgbImage; 2]) {
+    fn rendered_board(lens: LensModel, k: [f64; 4]) -> (StereoCalibration, [RgbImage; 2]) {
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/cases/bb201_c0");
         let case = load_case(folder.as_ref()).unwrap();
         let (images, calibration) = (case.load_images().unwrap(), case.load_calibration().unwrap());
@@ -138,7 +138,7 @@ mod tests {
             (LensModel::Equidistant, [-0.0127, 0.0412, -0.0385, 0.0078]),
             (LensModel::BrownConrady, [-0.214, 0.0583, 0.0007, -0.0011]),
         ] {
-            let (calibration, [left, right]) = seen(lens, k);
+            let (calibration, [left, right]) = rendered_board(lens, k);
             let expected = if lens == LensModel::BrownConrady { Some(calibration.rig) } else { calibration.other_lens };
             let decided = decide_lens(calibration, &left, &right).unwrap();
             assert_eq!((Some(decided.rig), decided.other_lens), (expected, None));
@@ -149,7 +149,7 @@ mod tests {
 
     #[test]
     fn images_that_show_nothing_do_not_decide() {
-        let (calibration, [left, _]) = seen(LensModel::Equidistant, [0.01, 0.0, 0.0, 0.0]);
+        let (calibration, [left, _]) = rendered_board(LensModel::Equidistant, [0.01, 0.0, 0.0, 0.0]);
         let grey = RgbImage::from_pixel(left.width(), left.height(), Rgb([90; 3]));
         let refused = decide_lens(calibration, &grey, &grey).unwrap_err().to_string();
         assert!(refused.contains("the images do not decide (0 points on their rows"), "{refused}");

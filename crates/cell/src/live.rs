@@ -16,15 +16,15 @@ use pb3dp_hal_platform::realtime::{Realtime, enter};
 use rtrb::{Consumer, Producer, RingBuffer};
 
 use super::capturing::Captured;
-use super::cycles::{Beat, Punctuality};
-use super::halves::{Capture, Course, Enabled, Estimate, Mover, Record, VisionParts, first_failure};
+use super::cycles::{Punctuality, ThreadTiming};
+use super::halves::{Capture, Enabled, Estimate, Mover, Record, RunContext, VisionParts, first_failure};
 use super::handover::{LatestConsumer, LatestProducer, Newest, latest};
 use super::percept::Percept;
 
 /// Steps that are not consumed yet: two seconds at 500 Hz.
 const STEPS_MAX: usize = 1000;
 /// Pairs, with their images, that wait for recording: half a second of them.
-const SEEN_MAX: usize = 16;
+const ESTIMATES_MAX: usize = 16;
 /// Interval at which waiting threads check whether the course is over.
 const LOOK: Duration = Duration::from_millis(10);
 /// Real-time request of a thread that moves arms: a priority below that of the arm threads, which have 50.
@@ -36,34 +36,42 @@ pub const CONTROL_THREAD: Realtime = Realtime { priority: Some(40), locks_memory
 /// # Errors
 /// The first permanent failure of an arm, the camera, the estimator or the recording.
 pub(super) fn drive<M: Mover, C: Capture, E: Estimate<M::Step>, R: Record<M::Step, E::Observed>>(
-    course: &Course<'_>,
+    run_context: &RunContext<'_>,
     (camera, estimator, recorder): VisionParts<'_, C, E, R>,
     mover: &mut M,
     punctuality: &mut Punctuality,
 ) -> Result<()> {
-    let mut enabled = Enabled::new(course, mover)?;
-    let begin = enabled.begin(&**course.clock, (estimator, recorder));
+    let mut enabled = Enabled::new(run_context, mover)?;
+    let begin = enabled.begin(&**run_context.clock, (estimator, recorder));
     let Punctuality { capture, estimation, control, recording } = punctuality;
     // An interruption sets the same flag as the end of the course.
-    let (clock, is_over) = (&**course.clock, course.interrupt);
+    let (clock, is_over) = (&**run_context.clock, run_context.interrupt);
     let frames = Newest::default();
     let (give_percept, percepts) = latest();
     let (to_estimation, of_estimation) = RingBuffer::new(STEPS_MAX);
     let (to_recording, of_recording) = RingBuffer::new(STEPS_MAX);
-    let (give_seen, seen) = sync_channel(SEEN_MAX);
-    let driving = Driving { course, enabled, percepts, steps: [to_estimation, to_recording], beat: control };
+    let (give_estimates, estimates) = sync_channel(ESTIMATES_MAX);
+    let driving = Driving { run_context, enabled, percepts, steps: [to_estimation, to_recording], timing: control };
     let capturing = Capturing {
         camera,
-        exposure: course.setup.rig.frames.exposure,
+        exposure: run_context.setup.rig.frames.exposure,
         frames: &frames,
         clock,
         is_over,
-        beat: capture,
+        timing: capture,
     };
-    let (steps, beat) = (of_estimation, estimation);
-    let estimating =
-        Estimating { estimator, frames: &frames, steps, percepts: give_percept, seen: give_seen, clock, is_over, beat };
-    let mut recording = Recording { recorder, steps: of_recording, seen, clock, is_over, beat: recording };
+    let (steps, timing) = (of_estimation, estimation);
+    let estimating = Estimating {
+        estimator,
+        frames: &frames,
+        steps,
+        percepts: give_percept,
+        estimates: give_estimates,
+        clock,
+        is_over,
+        timing,
+    };
+    let mut recording = Recording { recorder, steps: of_recording, estimates, clock, is_over, timing: recording };
     let (moved, captured, estimated, recorded) = std::thread::scope(|scope| {
         // When a thread ends for any reason, all others end, and the arms are stopped.
         let over = Over(is_over);
@@ -117,7 +125,7 @@ struct Capturing<'a, C> {
     frames: &'a Newest<(MonotonicTime, Captured)>,
     clock: &'a dyn Clock,
     is_over: &'a AtomicBool,
-    beat: &'a mut Beat,
+    timing: &'a mut ThreadTiming,
 }
 
 impl<C: Capture> Capturing<'_, C> {
@@ -127,11 +135,11 @@ impl<C: Capture> Capturing<'_, C> {
         while !self.is_over.load(Ordering::SeqCst) {
             let Some(frame) = self.camera.capture()? else { continue };
             let (now, input) = (self.clock.now(), frame.frame);
-            self.beat.lateness.record(now.saturating_since(input.at + self.exposure / 2));
+            self.timing.lateness.record(now.saturating_since(input.at + self.exposure / 2));
             // A gap in the sequence numbers counts the frames that did not arrive.
             let since = before.replace(input.sequence).and_then(|before: u64| input.sequence.checked_sub(before));
-            self.beat.missed += since.map_or(0, |since| since.saturating_sub(1));
-            self.beat.dropped += u64::from(self.frames.give((now, frame)));
+            self.timing.missed += since.map_or(0, |since| since.saturating_sub(1));
+            self.timing.dropped += u64::from(self.frames.give((now, frame)));
         }
         Ok(())
     }
@@ -143,10 +151,10 @@ struct Estimating<'a, E: Estimate<S>, S> {
     frames: &'a Newest<(MonotonicTime, Captured)>,
     steps: Consumer<S>,
     percepts: LatestProducer<Percept>,
-    seen: SyncSender<(MonotonicTime, E::Observed)>,
+    estimates: SyncSender<(MonotonicTime, E::Observed)>,
     clock: &'a dyn Clock,
     is_over: &'a AtomicBool,
-    beat: &'a mut Beat,
+    timing: &'a mut ThreadTiming,
 }
 
 impl<E: Estimate<S>, S> Estimating<'_, E, S> {
@@ -159,12 +167,12 @@ impl<E: Estimate<S>, S> Estimating<'_, E, S> {
             }
             let Some((captured_at, frame)) = frame else { continue };
             self.estimator.take_selection();
-            let (percept, seen) = self.estimator.look(frame)?;
+            let (percept, estimates) = self.estimator.look(frame)?;
             // A percept contains all current information: an overwritten one loses only an observation.
-            self.beat.dropped += u64::from(percept.is_some_and(|percept| self.percepts.give(percept)));
+            self.timing.dropped += u64::from(percept.is_some_and(|percept| self.percepts.give(percept)));
             let now = self.clock.now();
-            self.beat.lateness.record(now.saturating_since(captured_at));
-            self.beat.dropped += u64::from(self.seen.try_send((now, seen)).is_err());
+            self.timing.lateness.record(now.saturating_since(captured_at));
+            self.timing.dropped += u64::from(self.estimates.try_send((now, estimates)).is_err());
         }
         Ok(())
     }
@@ -174,10 +182,10 @@ impl<E: Estimate<S>, S> Estimating<'_, E, S> {
 struct Recording<'a, R, S, O> {
     recorder: &'a mut R,
     steps: Consumer<S>,
-    seen: Receiver<(MonotonicTime, O)>,
+    estimates: Receiver<(MonotonicTime, O)>,
     clock: &'a dyn Clock,
     is_over: &'a AtomicBool,
-    beat: &'a mut Beat,
+    timing: &'a mut ThreadTiming,
 }
 
 impl<R: Record<S, O>, S, O> Recording<'_, R, S, O> {
@@ -185,8 +193,8 @@ impl<R: Record<S, O>, S, O> Recording<'_, R, S, O> {
         let _over = Over(self.is_over);
         while !self.is_over.load(Ordering::SeqCst) {
             self.take_steps();
-            match self.seen.recv_timeout(LOOK) {
-                Ok(seen) => self.note(seen)?,
+            match self.estimates.recv_timeout(LOOK) {
+                Ok(estimates) => self.note(estimates)?,
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => break,
             }
@@ -197,8 +205,8 @@ impl<R: Record<S, O>, S, O> Recording<'_, R, S, O> {
     /// Records the remaining items.
     fn finish(&mut self) -> Result<()> {
         self.take_steps();
-        while let Ok(seen) = self.seen.try_recv() {
-            self.note(seen)?;
+        while let Ok(estimates) = self.estimates.try_recv() {
+            self.note(estimates)?;
         }
         Ok(())
     }
@@ -209,21 +217,21 @@ impl<R: Record<S, O>, S, O> Recording<'_, R, S, O> {
         }
     }
 
-    fn note(&mut self, (seen_at, seen): (MonotonicTime, O)) -> Result<()> {
-        self.recorder.note(seen)?;
-        self.beat.lateness.record(self.clock.now().saturating_since(seen_at));
+    fn note(&mut self, (estimated_at, estimates): (MonotonicTime, O)) -> Result<()> {
+        self.recorder.note(estimates)?;
+        self.timing.lateness.record(self.clock.now().saturating_since(estimated_at));
         Ok(())
     }
 }
 
 /// The control thread.
 struct Driving<'a, M: Mover> {
-    course: &'a Course<'a>,
+    run_context: &'a RunContext<'a>,
     enabled: Enabled<'a, M>,
     percepts: LatestConsumer<Percept>,
     /// To the estimation thread and to the recording thread.
     steps: [Producer<M::Step>; 2],
-    beat: &'a mut Beat,
+    timing: &'a mut ThreadTiming,
 }
 
 impl<M: Mover> Driving<'_, M> {
@@ -231,30 +239,30 @@ impl<M: Mover> Driving<'_, M> {
     /// that of the stop.
     fn run(mut self, begin: MonotonicTime) -> (Result<()>, Result<()>) {
         enter_control_thread();
-        let _over = Over(self.course.interrupt);
+        let _over = Over(self.run_context.interrupt);
         let stepped = self.step_from(begin);
         (stepped, self.enabled.stop())
     }
 
     fn step_from(&mut self, begin: MonotonicTime) -> Result<()> {
-        let &Course { setup, clock, duration, interrupt } = self.course;
+        let &RunContext { setup, clock, duration, interrupt } = self.run_context;
         let (mut due, end, period) = (begin, begin + duration, setup.control_period);
         while due <= end && !interrupt.load(Ordering::SeqCst) {
             clock.sleep_until(due);
             let now = clock.now();
-            self.beat.lateness.record(now.saturating_since(due));
+            self.timing.lateness.record(now.saturating_since(due));
             if let Some(percept) = self.percepts.take() {
                 self.enabled.mover().observe(percept, now);
             }
             let step = self.enabled.mover().step(now)?;
             // Steps that are not consumed are missing only in the report and in the priors of estimates.
             let taken = self.steps.each_mut().map(|steps| steps.push(step).is_ok());
-            self.beat.dropped += u64::from(taken != [true; 2]);
+            self.timing.dropped += u64::from(taken != [true; 2]);
             due = due + period;
             // Times that have passed are skipped.
             while due + period <= clock.now() {
                 due = due + period;
-                self.beat.missed += 1;
+                self.timing.missed += 1;
             }
         }
         Ok(())

@@ -19,7 +19,7 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
 
 use super::capturing::Captured;
-use super::halves::{Capture, Course, Enabled, Estimate, Mover, Record, VisionParts, first_failure};
+use super::halves::{Capture, Enabled, Estimate, Mover, Record, RunContext, VisionParts, first_failure};
 use super::percept::Percept;
 
 /// Steps both halves in order of their times, on request with a second thread for images; both arms are stopped on every exit path.
@@ -27,26 +27,26 @@ use super::percept::Percept;
 /// # Errors
 /// The first permanent failure of an arm, the camera, the estimator or the recording.
 pub(super) fn drive<M: Mover, C: Capture, E: Estimate<M::Step>, R: Record<M::Step, E::Observed>>(
-    course: &Course<'_>,
+    run_context: &RunContext<'_>,
     (camera, estimator, recorder): VisionParts<'_, C, E, R>,
     mover: &mut M,
     has_images_thread: bool,
 ) -> Result<()> {
-    let mut enabled = Enabled::new(course, mover)?;
-    let begin = enabled.begin(&**course.clock, (estimator, recorder));
+    let mut enabled = Enabled::new(run_context, mover)?;
+    let begin = enabled.begin(&**run_context.clock, (estimator, recorder));
     std::thread::scope(|scope| {
         let mut vision = Vision {
             here: Some(Images { camera, estimator }),
             thread: None,
             steps: Vec::new(),
             recorder,
-            clock: &**course.clock,
-            latency: course.setup.estimate_latency,
+            clock: &**run_context.clock,
+            latency: run_context.setup.estimate_latency,
             due: MonotonicTime::ZERO,
             arriving: VecDeque::new(),
         };
         let spawned = if has_images_thread { vision.spawn(scope) } else { Ok(()) };
-        let stepped = spawned.and_then(|()| step_both(course, &mut vision, enabled.mover(), begin));
+        let stepped = spawned.and_then(|()| step_both(run_context, &mut vision, enabled.mover(), begin));
         // The arms do not wait for a frame that is still with the other thread; the record does.
         let stopped = enabled.stop();
         first_failure([stepped, vision.images().map(drop), stopped])
@@ -55,7 +55,7 @@ pub(super) fn drive<M: Mover, C: Capture, E: Estimate<M::Step>, R: Record<M::Ste
 
 /// Steps both halves from `begin` to the end of the course.
 fn step_both<M: Mover, C: Capture, E: Estimate<M::Step>, R: Record<M::Step, E::Observed>>(
-    &Course { setup, clock, duration, interrupt }: &Course<'_>,
+    &RunContext { setup, clock, duration, interrupt }: &RunContext<'_>,
     vision: &mut Vision<'_, C, E, R, M::Step>,
     mover: &mut M,
     begin: MonotonicTime,
@@ -167,9 +167,9 @@ impl<'a, C: Capture, E: Estimate<S>, R: Record<S, E::Observed>, S: Copy + Send> 
 
     /// Keeps the result of the last frame for the motion half, and records it.
     fn take(&mut self, found: Found<E::Observed>) -> Result<()> {
-        let Some((percept, seen)) = found else { return Ok(()) };
+        let Some((percept, pair_estimate)) = found else { return Ok(()) };
         self.arriving.extend(percept.map(|percept| (self.due, percept)));
-        self.recorder.note(seen)
+        self.recorder.note(pair_estimate)
     }
 
     /// Receives a finished control step.

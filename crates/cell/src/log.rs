@@ -43,7 +43,7 @@ pub struct ArmSample {
 
 impl ControlSample {
     /// The mode without its reason.
-    pub fn mode_word(&self) -> &str {
+    pub fn mode_name(&self) -> &str {
         self.mode.split(':').next().unwrap_or_default()
     }
 }

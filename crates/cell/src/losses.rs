@@ -13,7 +13,7 @@ pub struct Losses {
     /// Pairs since the last loss.
     came: u32,
     /// Kinds already logged, without their numbers.
-    told: Vec<String>,
+    reported: Vec<String>,
 }
 
 impl Losses {
@@ -24,9 +24,9 @@ impl Losses {
         self.came = 0;
         // The skew differs in every rejected pair; only the text identifies the kind.
         let kind: String = why.chars().filter(|letter| !letter.is_ascii_digit()).collect();
-        let is_new = self.told.len() < KINDS_MAX && !self.told.contains(&kind);
+        let is_new = self.reported.len() < KINDS_MAX && !self.reported.contains(&kind);
         if is_new {
-            self.told.push(kind);
+            self.reported.push(kind);
         }
         match self.lost {
             1 => Some(why.to_owned()),
@@ -51,14 +51,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_camera_that_is_away_is_told_at_once_then_seldom_and_when_it_is_back() {
+    fn a_missing_camera_is_reported_at_once_then_seldom_and_when_it_is_back() {
         let mut losses = Losses::default();
-        let said: Vec<_> = (0..100).filter_map(|_| losses.add("left: no pairs")).collect();
-        assert_eq!(said[0], "left: no pairs");
-        assert_eq!((said.len(), said[6].as_str()), (7, "left: no pairs (pairs lost so far: 64)"));
-        let said: Vec<_> = (0..100).map(|_| losses.pair_has_come()).collect();
-        assert_eq!(said[29].as_deref(), Some("camera: pairs arrive again, 100 were lost"));
-        assert_eq!(said.iter().flatten().count(), 1);
+        let lines: Vec<_> = (0..100).filter_map(|_| losses.add("left: no pairs")).collect();
+        assert_eq!(lines[0], "left: no pairs");
+        assert_eq!((lines.len(), lines[6].as_str()), (7, "left: no pairs (pairs lost so far: 64)"));
+        let lines: Vec<_> = (0..100).map(|_| losses.pair_has_come()).collect();
+        assert_eq!(lines[29].as_deref(), Some("camera: pairs arrive again, 100 were lost"));
+        assert_eq!(lines.iter().flatten().count(), 1);
         // The next period is logged anew, and a single pair gets no second line.
         assert_eq!(losses.add("left: no pairs").as_deref(), Some("left: no pairs"));
         assert!((0..100).all(|_| losses.pair_has_come().is_none()));
@@ -67,25 +67,25 @@ mod tests {
     #[test]
     fn where_every_other_pair_is_refused_the_log_does_not_flood() {
         let mut losses = Losses::default();
-        let mut said = Vec::new();
+        let mut lines = Vec::new();
         // Ten minutes.
         for k in 0..9000 {
-            said.extend(losses.add(&format!("right was exposed {}.{} ms after left", 5 + k % 7, k % 10)));
-            said.extend(losses.pair_has_come());
+            lines.extend(losses.add(&format!("right was exposed {}.{} ms after left", 5 + k % 7, k % 10)));
+            lines.extend(losses.pair_has_come());
         }
-        assert_eq!(said.len(), 14, "{said:#?}");
+        assert_eq!(lines.len(), 14, "{lines:#?}");
     }
 
     #[test]
-    fn another_reason_is_told_at_once_and_two_in_turn_are_told_once_each() {
+    fn another_reason_is_reported_at_once_and_two_alternating_ones_once_each() {
         let mut losses = Losses::default();
-        let said: Vec<_> = (0..1000)
+        let lines: Vec<_> = (0..1000)
             .flat_map(|_| ["skew too large", "damaged"])
             .filter_map(|why| losses.add(why))
             .filter(|line| line.contains("damaged"))
             .collect();
-        assert_eq!(said[0], "damaged (pairs lost so far: 2)");
-        assert!(said.len() < 12, "{said:#?}");
+        assert_eq!(lines[0], "damaged (pairs lost so far: 2)");
+        assert!(lines.len() < 12, "{lines:#?}");
         // For any number of kinds.
         let many = (0..1000).filter(|k| losses.add(&"x".repeat(*k)).is_some()).count();
         assert!(many < 10, "{many}");

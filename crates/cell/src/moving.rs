@@ -16,13 +16,13 @@ use pb3dp_sim::placement::FlangePath;
 use pb3dp_sim::trajectory::Trajectory;
 
 use super::aim::Aim;
-use super::both_arms::{BothArms, LedArm, in_words};
+use super::both_arms::{BothArms, CellArm, error_text};
 use super::carrier::{carry, off_by};
-use super::devices::DrivenArm;
+use super::devices::ArmControl;
 use super::halves::{CameraArmStep, Mover};
+use super::motion_gate::MotionGate;
 use super::operator::{ByCommand, MotionRequest, Operator};
 use super::percept::Percept;
-use super::permitting::Permitting;
 use crate::log::ArmSample;
 
 /// With this error after a stop, the arm that carries the target was moved off its path meanwhile; metres and radians.
@@ -41,10 +41,10 @@ pub struct Moving<'a> {
     controller: Controller,
     /// The desired pose of the hand.
     aim: Aim,
-    permitting: Permitting,
+    motion_gate: MotionGate,
     operator: Box<dyn Operator>,
     /// A rest that only a person could end was reported.
-    is_rest_told: bool,
+    is_hold_reported: bool,
     /// Both arms are stopped and wait for the operator's reset and selection.
     is_stopped: bool,
     /// Cause of the stop, as reported by the arms.
@@ -73,12 +73,12 @@ enum Refusal {
     None,
     InStepBefore,
     /// Reported; the operator has not resumed yet.
-    Told,
+    Reported,
 }
 
 /// One control step.
 #[derive(Clone, Copy, Debug)]
-pub struct Moved {
+pub struct StepRecord {
     /// Number of the step, from 0.
     pub number: u64,
     /// Begin of the step.
@@ -108,17 +108,17 @@ impl<'a> Moving<'a> {
     /// A parameter of the controller or the supervisor out of its range.
     pub fn new(
         setup: &'a Setup,
-        arms: (Box<dyn DrivenArm>, Box<dyn DrivenArm>),
+        arms: (Box<dyn ArmControl>, Box<dyn ArmControl>),
         experiment: &'a dyn Trajectory,
         begin: MonotonicTime,
     ) -> Result<Self> {
         Ok(Self {
             arms: BothArms::new(setup, arms, begin),
             controller: Controller::new(setup.controller, setup.rig.arms.vs.chain.clone(), setup.rig.arms.vs.limits)?,
-            permitting: Permitting::new(&setup.supervisor, *setup.rig.arms.vs.limits.operating())?,
+            motion_gate: MotionGate::new(&setup.supervisor, *setup.rig.arms.vs.limits.operating())?,
             aim: Aim::new(&setup.controller.model_from_hand_desired),
             operator: Box::new(ByCommand),
-            is_rest_told: false,
+            is_hold_reported: false,
             is_stopped: false,
             why_stopped: None,
             refusal: Refusal::None,
@@ -152,17 +152,17 @@ impl<'a> Moving<'a> {
     fn decide(&mut self, now: MonotonicTime) -> (ControlStep, Decision, Command) {
         let observation = self.newest.as_ref().and_then(|percept| percept.observation.as_ref());
         let control = self.controller.step(self.arms.vs.joints(), observation, now);
-        let heard = self.listen(now);
+        let input = self.listen(now);
         let MotionRequest { speed_share, hand_from_hand_shifted } = self.operator.motion();
         let speed_share = if speed_share.is_finite() { speed_share.clamp(0.0, 1.0) } else { 0.0 };
         if let Some(desired) = self.aim.shift(hand_from_hand_shifted) {
             self.controller.set_model_from_hand_desired(desired);
         }
         let arms = [&self.arms.vs, &self.arms.tc].map(|arm| (arm.condition(), arm.joints()));
-        let decision = self.permitting.step(heard, &control, self.newest.as_ref(), arms, now);
+        let decision = self.motion_gate.step(input, &control, self.newest.as_ref(), arms, now);
         self.operator.show(&decision);
-        self.warn_of_a_rest_without_end(&decision);
-        let told = match (decision.permission, control.command) {
+        self.warn_if_only_operator_can_resume(&decision);
+        let executed = match (decision.permission, control.command) {
             (Permission::Move { share }, Command::Velocity(velocity)) => {
                 Command::Velocity(velocity * (share * speed_share))
             }
@@ -173,7 +173,7 @@ impl<'a> Moving<'a> {
             self.controller.acquire();
         }
         self.align(&decision);
-        (control, decision, told)
+        (control, decision, executed)
     }
 
     /// Where the hand begins an approach, its desired pose is that relative to the surface as it is known now.
@@ -189,9 +189,9 @@ impl<'a> Moving<'a> {
     }
 
     /// Warns once of a rest that only a person could end, where nobody can type `resume`.
-    fn warn_of_a_rest_without_end(&mut self, decision: &Decision) {
-        if decision.why.waits_for_resume() && self.operator.is_nobody() && !self.is_rest_told {
-            self.is_rest_told = true;
+    fn warn_if_only_operator_can_resume(&mut self, decision: &Decision) {
+        if decision.why.waits_for_resume() && self.operator.is_nobody() && !self.is_hold_reported {
+            self.is_hold_reported = true;
             tracing::warn!(
                 "the arms rest until the run ends: without a console nobody can use resume; use --operator console"
             );
@@ -201,58 +201,61 @@ impl<'a> Moving<'a> {
     /// Reads the operator input. A reset that the supervisor would accept also clears the faults latched in the arms; while a fault
     /// remains, the supervisor refuses it.
     fn listen(&mut self, now: MonotonicTime) -> OperatorInput {
-        let heard = self.operator.listen(self.permitting.last(), now);
-        let heard = self.held_if_refused(heard, now);
-        let conditions = [&self.arms.vs, &self.arms.tc].map(LedArm::condition);
-        if !heard.said.is_some_and(|said| self.permitting.would_reset(said, conditions, now)) {
-            return heard;
+        let input = self.operator.listen(self.motion_gate.last(), now);
+        let input = self.held_if_refused(input, now);
+        let conditions = [&self.arms.vs, &self.arms.tc].map(CellArm::condition);
+        if !input.request.is_some_and(|request| self.motion_gate.would_reset(request, conditions, now)) {
+            return input;
         }
-        if let Some(name) = self.arms.still_on() {
+        if let Some(name) = self.arms.still_enabled() {
             self.operator.tell(Some(format!(
                 "reset refused: the drives of {name} are still enabled; the stop order is repeated; if they stay enabled, use the emergency stop"
             )));
-            return OperatorInput { said: None, ..heard };
+            return OperatorInput { request: None, ..input };
         }
         match self.arms.reset() {
             Ok(()) => {
                 self.why_stopped = None;
                 self.operator.tell(None);
             }
-            Err(trouble) => self.operator.tell(Some(in_words(&trouble))),
+            Err(trouble) => self.operator.tell(Some(error_text(&trouble))),
         }
-        heard
+        input
     }
 
     /// After a refused command both arms hold as after the command `hold`; only `stop` takes precedence. The refusal is shown until the
     /// operator resumes.
-    fn held_if_refused(&mut self, heard: OperatorInput, now: MonotonicTime) -> OperatorInput {
-        let word = heard.said.map(|said| said.word);
-        match (self.refusal, word) {
-            (Refusal::InStepBefore, Some(OperatorCommand::Stop)) => self.refusal = Refusal::Told,
+    fn held_if_refused(&mut self, input: OperatorInput, now: MonotonicTime) -> OperatorInput {
+        let command = input.request.map(|request| request.command);
+        match (self.refusal, command) {
+            (Refusal::InStepBefore, Some(OperatorCommand::Stop)) => self.refusal = Refusal::Reported,
             (Refusal::InStepBefore, _) => {
-                self.refusal = Refusal::Told;
-                return OperatorInput { said: Some(OperatorRequest { word: OperatorCommand::Hold, at: now }), ..heard };
+                self.refusal = Refusal::Reported;
+                return OperatorInput {
+                    request: Some(OperatorRequest { command: OperatorCommand::Hold, at: now }),
+                    ..input
+                };
             }
-            (Refusal::Told, Some(OperatorCommand::Resume | OperatorCommand::Start)) => {
+            (Refusal::Reported, Some(OperatorCommand::Resume | OperatorCommand::Start)) => {
                 self.refusal = Refusal::None;
                 self.operator.tell(None);
             }
-            (Refusal::None | Refusal::Told, _) => {}
+            (Refusal::None | Refusal::Reported, _) => {}
         }
-        heard
+        input
     }
 
     /// Returns the measurement. With a console operator, an arm that refuses a command only holds and the run continues.
-    fn bear_refusal(&mut self, exchanged: Result<Option<JointState>>) -> Result<Option<JointState>> {
+    fn hold_after_refusal(&mut self, exchanged: Result<Option<JointState>>) -> Result<Option<JointState>> {
         let Err(failure) = exchanged else { return exchanged };
         let kind = failure.downcast_ref::<ArmError>().map(ArmError::kind);
         if kind != Some(ArmErrorKind::Rejected) || !self.operator.is_person() || self.arms.is_latched() {
             return Err(failure);
         }
         if self.refusal == Refusal::None {
-            tracing::warn!("both arms hold because a command was refused: {}", in_words(&failure));
+            tracing::warn!("both arms hold because a command was refused: {}", error_text(&failure));
         }
-        self.operator.tell(Some(in_words(&failure)));
+        self.operator.tell(Some(error_text(&failure)));
         self.refusal = Refusal::InStepBefore;
         Ok(None)
     }
@@ -293,7 +296,7 @@ impl<'a> Moving<'a> {
             self.arms.why_latched()?;
             bail!("{}", decision.why.without_console())
         }
-        if self.is_stopped && !self.arms.is_switching_on() {
+        if self.is_stopped && !self.arms.is_enabling() {
             self.stay_off(now);
             return Ok(());
         }
@@ -307,8 +310,8 @@ impl<'a> Moving<'a> {
     fn stop_because(&mut self, why: Result<()>) {
         let stopped = self.arms.stop();
         self.stop_again_at = None;
-        let later = if why.is_err() { stopped.as_ref().err().map(in_words) } else { None };
-        self.why_stopped = why.and(stopped).as_ref().err().map(in_words);
+        let later = if why.is_err() { stopped.as_ref().err().map(error_text) } else { None };
+        self.why_stopped = why.and(stopped).as_ref().err().map(error_text);
         if let Some(why) = &self.why_stopped {
             tracing::error!("{why}");
             self.operator.tell(Some(why.clone()));
@@ -321,7 +324,7 @@ impl<'a> Moving<'a> {
     /// Measures arms that must be disabled; one that is still enabled after a stop gets the stop order again at intervals.
     fn stay_off(&mut self, now: MonotonicTime) {
         self.arms.look();
-        if self.arms.still_on().is_none() {
+        if self.arms.still_enabled().is_none() {
             self.stop_again_at = None;
             return;
         }
@@ -333,7 +336,7 @@ impl<'a> Moving<'a> {
         self.stop_again_at = None;
         match self.arms.stop_still_on() {
             Ok(()) => self.operator.tell(self.why_stopped.clone()),
-            Err(trouble) => tracing::error!("{}", in_words(&trouble)),
+            Err(trouble) => tracing::error!("{}", error_text(&trouble)),
         }
     }
 
@@ -345,7 +348,7 @@ impl<'a> Moving<'a> {
             self.operator.tell(None);
             // A target seen earlier is not the selected one.
             self.newest = None;
-        } else if !self.arms.is_switching_on() {
+        } else if !self.arms.is_enabling() {
             self.stay_off(now);
             return;
         }
@@ -355,7 +358,7 @@ impl<'a> Moving<'a> {
                 let next = if self.arms.is_latched() { "reset" } else { "select" };
                 self.operator.answer(format!(
                     "enabling failed: {}; both arms are stopped; remove the cause, then use {next}",
-                    in_words(&why)
+                    error_text(&why)
                 ));
                 self.stop_because(Err(why));
             }
@@ -363,32 +366,32 @@ impl<'a> Moving<'a> {
     }
 
     /// Commands the arm that carries the cameras; the controller learns of a command that differs from its own.
-    fn tell(&mut self, wanted: Command, told: Command) -> Result<()> {
-        let exchanged = self.arms.vs.exchange(match told {
+    fn tell(&mut self, wanted: Command, executed: Command) -> Result<()> {
+        let exchanged = self.arms.vs.exchange(match executed {
             Command::Velocity(velocity) => JointCommand::Velocity(velocity),
             Command::Hold => JointCommand::Hold,
         });
-        let measured = self.bear_refusal(exchanged)?;
-        let done = match (measured, told) {
+        let measured = self.hold_after_refusal(exchanged)?;
+        let done = match (measured, executed) {
             // An arm that did not answer holds until the next command.
             (None, Command::Velocity(_)) => Command::Velocity(JointVector::zeros()),
-            _ => told,
+            _ => executed,
         };
         if done != wanted {
-            self.controller.note_told(done);
+            self.controller.set_executed_command(done);
         }
         Ok(())
     }
 }
 
-impl CameraArmStep for Moved {
+impl CameraArmStep for StepRecord {
     fn camera_arm_joints(&self) -> &JointState {
         &self.vs_joints
     }
 }
 
 impl Mover for Moving<'_> {
-    type Step = Moved;
+    type Step = StepRecord;
 
     fn enable(&mut self) -> Result<bool> {
         self.arms.enable(EnablePosition::Start)
@@ -404,7 +407,7 @@ impl Mover for Moving<'_> {
         self.observed = Some(percept);
     }
 
-    fn step(&mut self, now: MonotonicTime) -> Result<Moved> {
+    fn step(&mut self, now: MonotonicTime) -> Result<StepRecord> {
         let moved = self.step_both(now)?;
         self.operator.end_step();
         Ok(moved)
@@ -417,16 +420,16 @@ impl Mover for Moving<'_> {
 
 impl Moving<'_> {
     /// One control step of both arms.
-    fn step_both(&mut self, now: MonotonicTime) -> Result<Moved> {
-        let (control, decision, told) = self.decide(now);
+    fn step_both(&mut self, now: MonotonicTime) -> Result<StepRecord> {
+        let (control, decision, executed) = self.decide(now);
         let arms = [self.arms.vs.sample(), self.arms.tc.sample()];
-        let conditions = [&self.arms.vs, &self.arms.tc].map(LedArm::condition);
+        let conditions = [&self.arms.vs, &self.arms.tc].map(CellArm::condition);
         let vs_joints = *self.arms.vs.joints();
         let (mode, base_from_model) = (control.mode, control.base_from_model);
         let (number, observed) = (self.number, self.observed.take());
         self.number += 1;
         let model_from_surface = self.aim.model_from_surface();
-        let moved = Moved {
+        let moved = StepRecord {
             number,
             at: now,
             observed,
@@ -448,16 +451,16 @@ impl Moving<'_> {
         }
         let carrying = self.carrying(&decision, now);
         let carried = self.arms.tc.exchange(carrying);
-        let exchanged = self.bear_refusal(carried).and_then(|_| self.tell(control.command, told));
+        let exchanged = self.hold_after_refusal(carried).and_then(|_| self.tell(control.command, executed));
         if let Err(failure) = exchanged {
             // A latched fault goes to the supervisor in the next step, and to the operator; any other failure ends the run.
             let failure = self.arms.traced(failure);
             if !(self.operator.is_person() && self.arms.is_latched()) {
                 return Err(failure);
             }
-            self.operator.tell(Some(in_words(&failure)));
+            self.operator.tell(Some(error_text(&failure)));
         }
         let arms = [self.arms.vs.sample(), self.arms.tc.sample()];
-        Ok(Moved { vs_joints: *self.arms.vs.joints(), arms, ..moved })
+        Ok(StepRecord { vs_joints: *self.arms.vs.joints(), arms, ..moved })
     }
 }

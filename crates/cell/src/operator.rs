@@ -78,8 +78,8 @@ impl ByCommand {
 
 impl Operator for ByCommand {
     fn listen(&mut self, last: Option<&Decision>, now: MonotonicTime) -> OperatorInput {
-        let said = Self::next(last).map(|word| OperatorRequest { word, at: now });
-        OperatorInput { said, heard_at: Some(now), silent_after: None }
+        let request = Self::next(last).map(|command| OperatorRequest { command, at: now });
+        OperatorInput { request, heartbeat_at: Some(now), silent_after: None }
     }
 
     fn show(&mut self, _decision: &Decision) {}

@@ -1,4 +1,4 @@
-//! A virtual clock that keeps to the wall clock: one simulated second takes at least one second. Results do not change.
+//! A virtual clock at wall-clock speed: one simulated second takes at least one second. Results do not change.
 
 use std::time::{Duration, Instant};
 

@@ -14,10 +14,10 @@ use pb3dp_sim::trajectory::Trajectory;
 
 use super::camera_controls::ControlDesk;
 use super::cell::SimulatedCell;
-pub use super::devices::{DrivenArm, GatewayLimits, LinkCounts, LinkMonitor};
+pub use super::devices::{ArmControl, GatewayLimits, LinkCounts, LinkMonitor};
 use super::flight::KeepFlights;
 use super::operator::Operator;
-use super::perception::{Marking, Sight};
+use super::perception::{TargetSource, VisionInput};
 use super::selection::Selections;
 use super::spectator::Spectator;
 
@@ -104,15 +104,15 @@ pub struct Parts {
     /// The clock, shared by all parts.
     pub clock: Arc<dyn Clock>,
     /// The stereo rig, or its geometric substitute.
-    pub camera: Sight,
+    pub camera: VisionInput,
     /// Identity of the cameras, if they are real.
     pub cameras: Option<[CameraIdentity; 2]>,
     /// Controls of the cameras, if they are real.
     pub camera_controls: Option<ControlDesk>,
     /// The arm that carries the cameras.
-    pub vs: Box<dyn DrivenArm>,
+    pub vs: Box<dyn ArmControl>,
     /// The arm that carries the target.
-    pub tc: Box<dyn DrivenArm>,
+    pub tc: Box<dyn ArmControl>,
     /// The ground truth.
     pub cell: SimulatedCell,
     /// Motion of the target.
@@ -122,7 +122,7 @@ pub struct Parts {
     /// Writes their files during a run that a fault does not end.
     pub keep_flights: KeepFlights,
     /// How the target is marked in the first left image: outline of a simulated target, or the operator's region.
-    pub marking: Marking,
+    pub marking: TargetSource,
     /// Link monitors by the arms' names; arms without a link have none.
     pub links: Vec<(&'static str, Box<dyn LinkMonitor>)>,
     /// Emulated arms at the other end of links; dropping this field ends them.

@@ -106,8 +106,8 @@ fn check_desired_view(setup: &Setup) -> Result<()> {
         let size = camera.size();
         (0.0..f64::from(size.width)).contains(&px.x) && (0.0..f64::from(size.height)).contains(&px.y)
     };
-    let is_seen = |(camera, px): (&Camera, &Option<Vector2<f64>>)| px.is_some_and(|px| is_inside(camera, &px));
-    if [rig.left(), rig.right()].into_iter().zip(&pixels).any(is_seen) {
+    let is_visible = |(camera, px): (&Camera, &Option<Vector2<f64>>)| px.is_some_and(|px| is_inside(camera, &px));
+    if [rig.left(), rig.right()].into_iter().zip(&pixels).any(is_visible) {
         return Ok(());
     }
     let place = |px: Option<Vector2<f64>>| match px {

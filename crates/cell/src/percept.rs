@@ -80,8 +80,8 @@ mod tests {
     fn only_a_spin_that_nobody_sees_leaves_the_covariance() {
         let covariance = Matrix6::from_fn(|i, j| if i == j { 1.0 + i as f64 } else { 0.1 });
         let blank = TrackEstimate::without_pose(Status::PartlyObserved, String::new());
-        let seen = TrackEstimate { rotation_about_normal_observed: true, ..blank.clone() };
-        assert_eq!(without_spin(covariance, &seen), covariance);
+        let tracked = TrackEstimate { rotation_about_normal_observed: true, ..blank.clone() };
+        assert_eq!(without_spin(covariance, &tracked), covariance);
         let left = without_spin(covariance, &blank);
         assert_eq!(left.fixed_view::<5, 5>(0, 0), covariance.fixed_view::<5, 5>(0, 0));
         assert!(left.row(5).norm() == 0.0 && left.column(5).norm() == 0.0);

@@ -21,7 +21,7 @@ use pb3dp_sim::geometric::{GeometricFrame, Hindrance, PoseSigma};
 use crate::follower::Follower;
 
 /// Source of frames.
-pub enum Sight {
+pub enum VisionInput {
     /// A camera that delivers images.
     Images(Box<dyn StereoCamera>),
     /// The true pose with noise; no image is rendered.
@@ -43,7 +43,7 @@ pub trait PoseCamera: Send {
 /// Estimates the target pose from captured frames.
 pub enum Perception {
     /// An image-based method, and the target marked in the first images.
-    Images(Box<Follower>, Marking),
+    Images(Box<Follower>, TargetSource),
     /// The true pose with noise.
     Geometric(GeometricPerception),
 }
@@ -57,15 +57,15 @@ pub struct GeometricPerception {
 
 /// How the target is marked in the left image for initialisation.
 #[derive(Clone, Debug)]
-pub enum Marking {
+pub enum TargetSource {
     /// The outline of a simulated target, points in its own frame: what an operator would draw.
     Outline(Vec<Point3<f64>>),
     /// The region that the operator marked, independent of the target's true pose.
     Region(Region),
     /// The operator selects it while the run goes on.
-    Awaited,
+    FromOperator,
     /// No target is marked.
-    Nobody,
+    None,
 }
 
 /// Error for real cameras without a marked target.
@@ -75,7 +75,7 @@ pub const NOT_MARKED: &str = "no target is marked: with real cameras use --regio
 /// Reason of an estimate before the operator has selected a target.
 pub(crate) const NOT_SELECTED: &str = "no target is selected yet: mark one in the left image";
 
-impl Marking {
+impl TargetSource {
     /// The region in the left image; `cam_left_from_target` is the true pose, if there is one.
     ///
     /// # Errors
@@ -95,7 +95,7 @@ impl Marking {
                 })?;
                 Ok(Region::Polygon { vertices_px })
             }
-            (Self::Outline(_), None) | (Self::Awaited | Self::Nobody, _) => bail!("{NOT_MARKED}"),
+            (Self::Outline(_), None) | (Self::FromOperator | Self::None, _) => bail!("{NOT_MARKED}"),
         }
     }
 }
@@ -104,13 +104,13 @@ impl Perception {
     /// An estimator without a target yet.
     ///
     /// # Errors
-    /// A method parameter out of its range, or a leading method that does not fit `sight`.
-    pub fn new(setup: &Setup, sight: &Sight, marking: Marking) -> Result<Self> {
-        match (setup.leader, sight) {
-            (Leader::Images(method), Sight::Images(_)) => {
+    /// A method parameter out of its range, or a leading method that does not fit `vision_input`.
+    pub fn new(setup: &Setup, vision_input: &VisionInput, marking: TargetSource) -> Result<Self> {
+        match (setup.leader, vision_input) {
+            (Leader::Images(method), VisionInput::Images(_)) => {
                 Ok(Self::Images(Box::new(Follower::of_setup(setup, method)?), marking))
             }
-            (Leader::Geometric(_), Sight::Geometric(camera)) => Ok(Self::Geometric(GeometricPerception {
+            (Leader::Geometric(_), VisionInput::Geometric(camera)) => Ok(Self::Geometric(GeometricPerception {
                 noise: camera.noise(),
                 tilt_sigma_sure_rad: setup.estimator.track.tilt_sigma_sure_deg.to_radians(),
             })),
@@ -121,14 +121,14 @@ impl Perception {
     /// The marked region until the target is initialised; `None` for a method without images.
     ///
     /// # Errors
-    /// As [`Marking::region`].
+    /// As [`TargetSource::region`].
     pub fn region(
         &self,
         setup: &Setup,
         cam_left_from_target: Option<&Pose<CamLeft, Target>>,
     ) -> Result<Option<Region>> {
         match self {
-            Self::Images(_, Marking::Awaited) => Ok(None),
+            Self::Images(_, TargetSource::FromOperator) => Ok(None),
             Self::Images(follower, marking) if !follower.is_started() => {
                 marking.region(setup, cam_left_from_target).map(Some)
             }
@@ -139,7 +139,7 @@ impl Perception {
     /// Whether a target is initialised and not given up.
     pub fn follows(&self) -> bool {
         match self {
-            Self::Images(follower, _) => follower.is_started() && !follower.tracker().wants_region(),
+            Self::Images(follower, _) => follower.is_started() && !follower.tracker().needs_new_region(),
             Self::Geometric(_) => true,
         }
     }
@@ -148,7 +148,7 @@ impl Perception {
     pub fn forget(&mut self) {
         if let Self::Images(follower, marking) = self {
             follower.forget();
-            *marking = Marking::Awaited;
+            *marking = TargetSource::FromOperator;
         }
     }
 
@@ -165,7 +165,7 @@ impl Perception {
     /// If the method fails permanently, or the frame is of the wrong kind.
     pub fn estimate(&mut self, view: &View, region: Option<&Region>, prior: &FramePrior) -> Result<TrackEstimate> {
         match (self, view) {
-            (Self::Images(follower, Marking::Awaited), View::Images(_))
+            (Self::Images(follower, TargetSource::FromOperator), View::Images(_))
                 if region.is_none() && !follower.is_started() =>
             {
                 Ok(TrackEstimate::without_pose(Status::Lost, NOT_SELECTED.to_owned()))

@@ -5,10 +5,10 @@ use std::time::Duration;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_servo::supervisor::{Cause, Condition, Detail, OperatorCommand};
 
-use super::terminal::{has_word, without_escape_sequences};
+use super::terminal::{has_term, without_escape_sequences};
 
 /// Words that stop both arms.
-const STOP_WORDS: [&str; 3] = ["stop", "estop", "halt"];
+const STOP_COMMANDS: [&str; 3] = ["stop", "estop", "halt"];
 
 /// A person is asked for a key this long before the longest silence, or a third of it before: time to read the line and to press Enter.
 const ASKS_BEFORE: Duration = Duration::from_secs(10);
@@ -27,18 +27,18 @@ pub(crate) fn command_of(line: &str) -> Option<OperatorCommand> {
 
 /// `stop` or `hold`, if the line contains such a word.
 pub(crate) fn cautious_command_of(line: &str) -> Option<OperatorCommand> {
-    if STOP_WORDS.into_iter().any(|word| has_word(line, word)) {
+    if STOP_COMMANDS.into_iter().any(|term| has_term(line, term)) {
         return Some(OperatorCommand::Stop);
     }
-    has_word(line, OperatorCommand::Hold.name()).then_some(OperatorCommand::Hold)
+    has_term(line, OperatorCommand::Hold.name()).then_some(OperatorCommand::Hold)
 }
 
 /// Whether a line ends a motion that knows no other command: `stop` or `hold` in it, `q` or `quit` alone, or the key Esc at its end.
 pub fn ends_motion(line: &str) -> bool {
     let text = without_escape_sequences(line);
-    let word = text.trim_matches(|c: char| !c.is_alphabetic());
+    let term = text.trim_matches(|c: char| !c.is_alphabetic());
     cautious_command_of(line).is_some()
-        || ["q", "quit"].into_iter().any(|quit| word.eq_ignore_ascii_case(quit))
+        || ["q", "quit"].into_iter().any(|quit| term.eq_ignore_ascii_case(quit))
         || line.trim_end().ends_with(ESCAPE)
 }
 
@@ -51,19 +51,19 @@ pub(crate) struct KeyRequest {
 
 impl KeyRequest {
     /// Whether to ask now: in time, and once after each sign of life.
-    pub fn is_due(&mut self, within: Duration, heard_at: MonotonicTime, now: MonotonicTime) -> bool {
-        let left = within.saturating_sub(now.saturating_since(heard_at));
-        let is_due = left <= ASKS_BEFORE.min(within / 3) && self.asked_after != Some(heard_at);
+    pub fn is_due(&mut self, within: Duration, heartbeat_at: MonotonicTime, now: MonotonicTime) -> bool {
+        let left = within.saturating_sub(now.saturating_since(heartbeat_at));
+        let is_due = left <= ASKS_BEFORE.min(within / 3) && self.asked_after != Some(heartbeat_at);
         if is_due {
-            self.asked_after = Some(heard_at);
+            self.asked_after = Some(heartbeat_at);
         }
         is_due
     }
 }
 
 /// The condition `operator_silent`, if the last sign of life is too old.
-pub(crate) fn silence(within: Duration, heard_at: MonotonicTime, now: MonotonicTime) -> Option<Cause> {
-    let age = now.saturating_since(heard_at);
+pub(crate) fn silence(within: Duration, heartbeat_at: MonotonicTime, now: MonotonicTime) -> Option<Cause> {
+    let age = now.saturating_since(heartbeat_at);
     (age > within).then_some(Cause {
         condition: Condition::OperatorSilent,
         value: age.as_secs_f64(),

@@ -41,7 +41,7 @@ pub struct Made {
 ///
 /// # Errors
 /// The failure that ended the run early (`how`), and failures to write the report.
-pub fn tell(
+pub fn write_report(
     folder: &Path,
     setup: &Setup,
     made: &Made,
@@ -50,14 +50,14 @@ pub fn tell(
     print: impl Fn(&str) -> io::Result<()>,
 ) -> Result<Following> {
     let ended_by = how.as_ref().err().map(|failure| format!("{failure:#}"));
-    both(how, tell_of_past(folder, setup, made, (outcome, ended_by), print))
+    combine_errors(how, write_report_of_recording(folder, setup, made, (outcome, ended_by), print))
 }
 
 /// The same for a run that is over; `ended_by` is the failure that ended it early.
 ///
 /// # Errors
 /// Failures to write the report.
-pub fn tell_of_past(
+pub fn write_report_of_recording(
     folder: &Path,
     setup: &Setup,
     made: &Made,
@@ -69,12 +69,12 @@ pub fn tell_of_past(
 }
 
 /// Combines the end of the run with the outcome of its report.
-fn both<T>(how: Result<()>, told: Result<T>) -> Result<T> {
-    match (how, told) {
-        (Err(failure), Err(untold)) => {
-            Err(failure.context(format!("the run failed, and its report is incomplete ({untold:#})")))
+fn combine_errors<T>(how: Result<()>, written: Result<T>) -> Result<T> {
+    match (how, written) {
+        (Err(failure), Err(report_failure)) => {
+            Err(failure.context(format!("the run failed, and its report is incomplete ({report_failure:#})")))
         }
-        (how, told) => how.and(told),
+        (how, written) => how.and(written),
     }
 }
 
@@ -553,7 +553,7 @@ fn timeseries_csv(log: &RunLog, joints: [usize; 2]) -> String {
     }
     text.push('\n');
     for s in &log.control {
-        let _ = write!(text, "{:.4},{}", s.t_s, s.mode_word());
+        let _ = write!(text, "{:.4},{}", s.t_s, s.mode_name());
         let poses = [
             (s.world_from_target.translation_m(), s.world_from_target.rotation()),
             (s.world_from_hand.translation_m(), s.world_from_hand.rotation()),
@@ -591,10 +591,10 @@ mod tests {
     #[test]
     fn the_failure_of_a_run_is_reported_also_without_a_report() {
         let (arm, disk) = (|| Err(anyhow!("an overcurrent")), || Err(anyhow!("no space is left")));
-        let text = format!("{:#}", both(arm(), disk()).unwrap_err());
+        let text = format!("{:#}", combine_errors(arm(), disk()).unwrap_err());
         assert!(text.contains("an overcurrent") && text.contains("no space is left"), "{text}");
-        assert_eq!(both(arm(), Ok(())).unwrap_err().to_string(), "an overcurrent");
-        assert_eq!(both::<()>(Ok(()), disk()).unwrap_err().to_string(), "no space is left");
-        assert!(both(Ok(()), Ok(())).is_ok());
+        assert_eq!(combine_errors(arm(), Ok(())).unwrap_err().to_string(), "an overcurrent");
+        assert_eq!(combine_errors::<()>(Ok(()), disk()).unwrap_err().to_string(), "no space is left");
+        assert!(combine_errors(Ok(()), Ok(())).is_ok());
     }
 }

@@ -8,7 +8,7 @@ use pb3dp_estimation_core::method::KnownModel;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_hal_api::FramePair;
 
-use crate::perception::Marking;
+use crate::perception::TargetSource;
 
 /// A target that the operator has selected.
 #[derive(Clone, Debug)]
@@ -46,7 +46,7 @@ struct Shared {
     /// The newest accepted offer whose estimate the estimation has passed on.
     done: AtomicU64,
     /// How the setup marks its target.
-    of_setup: OnceLock<Marking>,
+    of_setup: OnceLock<TargetSource>,
 }
 
 #[derive(Default)]
@@ -64,15 +64,15 @@ impl Selections {
     }
 
     /// Sets the target that the setup names. Later calls, and a marking that needs an operator, change nothing.
-    pub fn set_target_of_setup(&self, marking: &Marking) {
-        if !matches!(marking, Marking::Awaited | Marking::Nobody) {
+    pub fn set_target_of_setup(&self, marking: &TargetSource) {
+        if !matches!(marking, TargetSource::FromOperator | TargetSource::None) {
             // The first one counts.
             let _ = self.0.of_setup.set(marking.clone());
         }
     }
 
     /// The target that the setup names, if it names one.
-    pub fn target_of_setup(&self) -> Option<&Marking> {
+    pub fn target_of_setup(&self) -> Option<&TargetSource> {
         self.0.of_setup.get()
     }
 

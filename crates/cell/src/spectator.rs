@@ -4,9 +4,9 @@ use anyhow::Result;
 use pb3dp_geometry::MonotonicTime;
 
 use crate::commands::CommandSummary;
+use crate::estimate_log::PairEstimate;
 use crate::journal::TruePoses;
-use crate::moving::Moved;
-use crate::noting::PairEstimate;
+use crate::moving::StepRecord;
 
 /// Receives the messages of a run. In real time the recording thread calls it, so no thread that moves an arm waits for a spectator; in
 /// simulated time the loop calls it, so no method may take long.
@@ -15,10 +15,10 @@ pub trait Spectator: Send {
     fn begin_at(&mut self, _begin: MonotonicTime) {}
 
     /// Receives a finished control step, with the true poses if they are known.
-    fn moved(&mut self, step: &Moved, poses: Option<TruePoses>);
+    fn moved(&mut self, step: &StepRecord, poses: Option<TruePoses>);
 
     /// Receives a pair with its estimate.
-    fn seen(&mut self, seen: &PairEstimate);
+    fn estimated(&mut self, pair_estimate: &PairEstimate);
 
     /// A fault has latched the arms; faults count from 1. May be called again for the same fault.
     fn fault(&mut self, _number: usize) {}

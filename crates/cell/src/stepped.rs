@@ -15,10 +15,10 @@ use pb3dp_servo::supervisor::{Decision, OperatorInput};
 use pb3dp_setup::setup::{Pace, Setup};
 use pb3dp_sim::pushed::PushedTarget;
 
+use crate::estimate_log::PairEstimate;
 use crate::experiment::{Ended, conduct};
 use crate::journal::{Outcome, TruePoses};
-use crate::moving::Moved;
-use crate::noting::PairEstimate;
+use crate::moving::StepRecord;
 use crate::operator::{ByCommand, MotionRequest, Operator};
 use crate::parts::Parts;
 use crate::spectator::Spectator;
@@ -28,11 +28,11 @@ pub struct SteppedStep {
     /// Time of the first control step.
     pub begin: MonotonicTime,
     /// The step.
-    pub moved: Moved,
+    pub moved: StepRecord,
     /// True poses at its begin.
     pub poses: Option<TruePoses>,
     /// Pairs that were estimated since the step before.
-    pub seen: Vec<PairEstimate>,
+    pub estimates: Vec<PairEstimate>,
 }
 
 /// A simulated run that waits after each control step.
@@ -43,7 +43,7 @@ pub struct SteppedRun {
     /// Whether the run waits after a step.
     is_waiting: bool,
     thread: Option<JoinHandle<Result<Ended>>>,
-    wishes: Arc<Mutex<MotionRequest>>,
+    requests: Arc<Mutex<MotionRequest>>,
     pushed: Option<PushedTarget>,
 }
 
@@ -59,16 +59,16 @@ impl SteppedRun {
         }
         let (tell, steps) = sync_channel(1);
         let (go, waits) = sync_channel(1);
-        let wishes = Arc::new(Mutex::new(MotionRequest::default()));
+        let requests = Arc::new(Mutex::new(MotionRequest::default()));
         let pushed = parts.pushed.clone();
         let interrupt = Arc::clone(&parts.interrupt);
-        let stepper = Stepper { tell, waits, interrupt, begin: MonotonicTime::ZERO, seen: Vec::new() };
-        let operator = Box::new(ByCaller(Arc::clone(&wishes)));
+        let stepper = Stepper { tell, waits, interrupt, begin: MonotonicTime::ZERO, estimates: Vec::new() };
+        let operator = Box::new(ByCaller(Arc::clone(&requests)));
         let parts = Parts { operator, spectators: vec![Box::new(stepper)], ..parts };
         let thread = std::thread::Builder::new()
             .name("stepped run".to_owned())
             .spawn(move || conduct(&setup, parts, stop_after_s, None))?;
-        Ok(Self { steps, go: Some(go), is_waiting: false, thread: Some(thread), wishes, pushed })
+        Ok(Self { steps, go: Some(go), is_waiting: false, thread: Some(thread), requests, pushed })
     }
 
     /// The next control step; `None` after the last one.
@@ -92,12 +92,12 @@ impl SteppedRun {
 
     /// How the hand moves from the next step on.
     pub fn set_motion(&self, motion: MotionRequest) {
-        *self.wishes.lock().unwrap_or_else(PoisonError::into_inner) = motion;
+        *self.requests.lock().unwrap_or_else(PoisonError::into_inner) = motion;
     }
 
     /// How the hand moves.
     pub fn motion(&self) -> MotionRequest {
-        *self.wishes.lock().unwrap_or_else(PoisonError::into_inner)
+        *self.requests.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Pushes the target to an offset from its start, as [`PushedTarget::push`].
@@ -156,7 +156,7 @@ struct Stepper {
     waits: Receiver<()>,
     interrupt: Arc<AtomicBool>,
     begin: MonotonicTime,
-    seen: Vec<PairEstimate>,
+    estimates: Vec<PairEstimate>,
 }
 
 impl Spectator for Stepper {
@@ -164,16 +164,16 @@ impl Spectator for Stepper {
         self.begin = begin;
     }
 
-    fn moved(&mut self, step: &Moved, poses: Option<TruePoses>) {
-        let seen = std::mem::take(&mut self.seen);
-        let step = SteppedStep { begin: self.begin, moved: *step, poses, seen };
+    fn moved(&mut self, step: &StepRecord, poses: Option<TruePoses>) {
+        let estimates = std::mem::take(&mut self.estimates);
+        let step = SteppedStep { begin: self.begin, moved: *step, poses, estimates };
         if self.tell.send(step).is_err() || self.waits.recv().is_err() {
             self.interrupt.store(true, Ordering::SeqCst);
         }
     }
 
-    fn seen(&mut self, seen: &PairEstimate) {
-        self.seen.push(seen.clone());
+    fn estimated(&mut self, pair_estimate: &PairEstimate) {
+        self.estimates.push(pair_estimate.clone());
     }
 }
 

@@ -150,7 +150,7 @@ pub fn summarize(log: &RunLog, plan: &Plan) -> RunSummary {
         latency_p99_millis: leading.latency_p99_millis,
         methods: methods::summaries(log, leading),
         supervisor: log.supervision.summary(),
-        share_by_mode: shares(log.control.iter().map(ControlSample::mode_word)),
+        share_by_mode: shares(log.control.iter().map(ControlSample::mode_name)),
         smallest_singular_value: log.control.iter().map(|s| s.smallest_singular_value).reduce(f64::min),
         commands: log.commands.clone(),
         cycles: log.cycles.clone(),
@@ -158,9 +158,9 @@ pub fn summarize(log: &RunLog, plan: &Plan) -> RunSummary {
 }
 
 /// Share of each word among all, 0 to 1.
-fn shares<'a>(words: impl Iterator<Item = &'a str>) -> BTreeMap<String, f64> {
+fn shares<'a>(names: impl Iterator<Item = &'a str>) -> BTreeMap<String, f64> {
     let mut counts = BTreeMap::<String, f64>::new();
-    words.for_each(|word| *counts.entry(word.to_owned()).or_default() += 1.0);
+    names.for_each(|name| *counts.entry(name.to_owned()).or_default() += 1.0);
     let total: f64 = counts.values().sum();
     counts.values_mut().for_each(|count| *count /= total);
     counts
@@ -299,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_lock_got_wrong_is_told_apart() {
+    fn the_error_of_the_lock_is_reported_separately() {
         let (mut log, plan) = late_hand();
         let target_from_model = Pose::<Target, Model>::from_translation(Vector3::new(0.01, 0.02, 0.0));
         let tilted = Pose::from_parts(Vector3::zeros(), UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.01, 0.0)));

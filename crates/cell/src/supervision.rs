@@ -60,17 +60,17 @@ pub struct SupervisionLog {
 #[derive(Clone, Copy, Debug, Default)]
 struct GoneCause {
     since_s: Option<f64>,
-    is_told: bool,
+    is_reported: bool,
 }
 
 impl GoneCause {
     /// The log line of this step, once for each time that a cause goes.
-    fn note(&mut self, t_s: f64, decision: &Decision, words: impl Fn(&Why) -> String) -> Option<String> {
+    fn note(&mut self, t_s: f64, decision: &Decision, text_of: impl Fn(&Why) -> String) -> Option<String> {
         let why = decision.why;
         match decision.transition.map(|transition| transition.event) {
-            Some(Event::CauseGone) => return Some(format!("the cause of the hold is gone: {}", words(&why))),
-            Some(Event::TargetFound) => return Some(format!("the target is found again: {}", words(&why))),
-            Some(Event::Reset) => return Some(format!("the stop is reset: {}", words(&why))),
+            Some(Event::CauseGone) => return Some(format!("the cause of the hold is gone: {}", text_of(&why))),
+            Some(Event::TargetFound) => return Some(format!("the target is found again: {}", text_of(&why))),
+            Some(Event::Reset) => return Some(format!("the stop is reset: {}", text_of(&why))),
             _ => {}
         }
         if !matches!(why, Why::CauseGone { .. } | Why::Latched { is_gone: true, .. }) {
@@ -78,9 +78,9 @@ impl GoneCause {
             return None;
         }
         let since_s = *self.since_s.get_or_insert(t_s);
-        let is_due = !self.is_told && t_s - since_s >= GONE_FOR_S;
-        self.is_told |= is_due;
-        is_due.then(|| words(&why))
+        let is_due = !self.is_reported && t_s - since_s >= GONE_FOR_S;
+        self.is_reported |= is_due;
+        is_due.then(|| text_of(&why))
     }
 }
 
@@ -91,14 +91,14 @@ impl SupervisionLog {
     }
 
     /// The line of a reason.
-    pub fn words(&self, why: &Why) -> String {
-        words(why, self.without_console)
+    pub fn text_of(&self, why: &Why) -> String {
+        text_of(why, self.without_console)
     }
 
     /// The log line of a step in which the cause of a stop or a hold has gone.
     pub fn gone(&mut self, t_s: f64, decision: &Decision) -> Option<String> {
         let without_console = self.without_console;
-        self.gone.note(t_s, decision, |why| words(why, without_console))
+        self.gone.note(t_s, decision, |why| text_of(why, without_console))
     }
 
     /// Records a step; returns the state change, if there is one.
@@ -113,7 +113,7 @@ impl SupervisionLog {
             from: transition.from.name(),
             to: transition.to.name(),
             event: transition.event.name(),
-            why: self.words(&decision.why),
+            why: self.text_of(&decision.why),
         });
         self.transitions.last()
     }
@@ -150,7 +150,7 @@ impl SupervisionLog {
     }
 }
 
-fn words(why: &Why, without_console: bool) -> String {
+fn text_of(why: &Why, without_console: bool) -> String {
     if without_console { why.without_console().to_string() } else { why.to_string() }
 }
 
@@ -208,36 +208,36 @@ mod tests {
     }
 
     #[test]
-    fn a_cause_that_stays_away_is_told_once_and_an_intermittent_one_is_not() {
+    fn a_cause_that_stays_away_is_reported_once_and_an_intermittent_one_is_not() {
         let cause = Cause { condition: Condition::FrameStale, value: 2.0, threshold: 0.5, detail: Detail::None };
         let active = Why::Latched { state: State::Stopped, cause, is_gone: false };
         let gone = Why::Latched { state: State::Stopped, cause, is_gone: true };
         let (mut log, resting) = (SupervisionLog::default(), decision());
-        let mut said = |steps: std::ops::Range<u32>, why: &dyn Fn(u32) -> Why| -> Vec<String> {
+        let mut lines_of = |steps: std::ops::Range<u32>, why: &dyn Fn(u32) -> Why| -> Vec<String> {
             let step = |step: u32| {
                 log.gone(f64::from(step) / 100.0, &Decision { why: why(step), transition: None, ..resting })
             };
             steps.filter_map(step).collect()
         };
-        assert!(said(0..100, &|_| active).is_empty());
-        assert!(said(100..500, &|step| if step % 10 == 0 { active } else { gone }).is_empty());
+        assert!(lines_of(0..100, &|_| active).is_empty());
+        assert!(lines_of(100..500, &|step| if step % 10 == 0 { active } else { gone }).is_empty());
         assert_eq!(
-            said(500..900, &|_| gone),
+            lines_of(500..900, &|_| gone),
             ["stopped: cleared: the newest frame pair is 2.000 s old, limit 0.500 s; use reset [PB3DP-SUP-008]"]
         );
-        assert!(said(900..910, &|_| active).is_empty());
+        assert!(lines_of(900..910, &|_| active).is_empty());
         let held = Why::CauseGone { state: State::Holding, cause, then: Then::Resume };
-        let told = said(910..1000, &|_| held);
-        assert!(told.len() == 1 && told[0].ends_with("; use resume"), "{told:?}");
+        let lines = lines_of(910..1000, &|_| held);
+        assert!(lines.len() == 1 && lines[0].ends_with("; use resume"), "{lines:?}");
         let mut log = SupervisionLog::default();
         log.leave_out_commands();
-        let mut told = (0..100)
+        let mut lines = (0..100)
             .filter_map(|step| log.gone(f64::from(step) / 100.0, &Decision { why: held, transition: None, ..resting }));
-        assert!(told.next().is_some_and(|told| told.ends_with("; start a new run")) && told.next().is_none());
+        assert!(lines.next().is_some_and(|lines| lines.ends_with("; start a new run")) && lines.next().is_none());
     }
 
     #[test]
-    fn the_time_of_initialising_is_no_time_without_following() {
+    fn initialisation_does_not_count_as_lost() {
         assert_eq!(share(2.0, |t_s| t_s >= 0.305), 1.0);
         assert_eq!(share(2.0, |t_s| (0.305..1.0).contains(&t_s)), 69.0 / 169.0);
         // Only the first second is for initialising.

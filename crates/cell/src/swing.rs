@@ -15,10 +15,10 @@ use pb3dp_servo::identification::{Excitation, GivenVelocity};
 use pb3dp_setup::setup::Setup;
 
 use super::both_arms::BothArms;
-use super::halves::{Course, Mover};
-use super::looking::Looking;
+use super::halves::{Mover, RunContext};
 use super::parts::Parts;
 use super::percept::Percept;
+use super::vision::Vision;
 
 /// Time before the motion: the target is initialised and the arm comes to a stop.
 const LEAD_IN: Duration = Duration::from_secs(1);
@@ -27,7 +27,7 @@ const LEAD_OUT: Duration = Duration::from_millis(500);
 
 /// One confident estimate.
 #[derive(Clone, Copy, Debug)]
-pub struct SeenPose {
+pub struct ObservedPose {
     /// Stamp of the pair: mid-exposure time from the camera.
     pub at: MonotonicTime,
     /// The first control step that used it.
@@ -44,7 +44,7 @@ pub struct Swung {
     /// Its measured joints.
     pub joints: Vec<JointState>,
     /// Confident estimates.
-    pub seen: Vec<SeenPose>,
+    pub observed: Vec<ObservedPose>,
     /// Pairs without a confident estimate.
     pub untrusted: usize,
 }
@@ -60,14 +60,14 @@ pub fn duration(motion: &Excitation) -> Duration {
 /// If an arm, the camera or the estimator fails permanently; the arms are stopped first.
 pub fn run(setup: &Setup, parts: Parts, motion: Excitation) -> Result<Swung> {
     let Parts { clock, camera, camera_controls, vs, tc, cell, marking, emulated, interrupt, .. } = parts;
-    let sight = (camera, cell, marking);
-    let Looking { mut capturing, estimating } = Looking::new(setup, sight, &clock)?;
+    let vision_input = (camera, cell, marking);
+    let Vision { mut capturing, estimating } = Vision::new(setup, vision_input, &clock)?;
     let mut estimating = estimating.with_controls(camera_controls);
     let arms = BothArms::new(setup, (vs, tc), clock.now());
     let mut swinging = Swinging::new(setup, arms, motion)?;
-    let course = Course { setup, clock: &clock, duration: duration(&motion), interrupt: &interrupt };
+    let run_context = RunContext { setup, clock: &clock, duration: duration(&motion), interrupt: &interrupt };
     // The motion half keeps the estimates.
-    let (ended, _) = course.run((&mut capturing, &mut estimating, &mut ()), &mut swinging);
+    let (ended, _) = run_context.run((&mut capturing, &mut estimating, &mut ()), &mut swinging);
     // The arms are dropped before the emulators at the other end of their links.
     let Swinging { arms, record, .. } = swinging;
     drop(arms);
@@ -86,7 +86,7 @@ struct Swinging<'a> {
     /// Start time of the motion.
     begin: MonotonicTime,
     record: Swung,
-    last_seen_at: Option<MonotonicTime>,
+    last_observed_at: Option<MonotonicTime>,
 }
 
 impl<'a> Swinging<'a> {
@@ -98,7 +98,7 @@ impl<'a> Swinging<'a> {
         let record = Swung {
             given: Vec::with_capacity(steps),
             joints: Vec::with_capacity(steps),
-            seen: Vec::with_capacity(frames),
+            observed: Vec::with_capacity(frames),
             untrusted: 0,
         };
         Ok(Self {
@@ -107,7 +107,7 @@ impl<'a> Swinging<'a> {
             base_from_hand_at_begin: base_from_hand(setup, arms.vs.joints()),
             begin: MonotonicTime::ZERO,
             record,
-            last_seen_at: None,
+            last_observed_at: None,
             arms,
             setup,
         })
@@ -140,12 +140,12 @@ impl Mover for Swinging<'_> {
 
     fn observe(&mut self, percept: Percept, now: MonotonicTime) {
         let Some(TargetObservation { at, cam_left_from_model, trusted, .. }) = percept.observation else { return };
-        if self.last_seen_at.is_some_and(|last| at <= last) {
+        if self.last_observed_at.is_some_and(|last| at <= last) {
             return;
         }
-        self.last_seen_at = Some(at);
+        self.last_observed_at = Some(at);
         if trusted {
-            keep(&mut self.record.seen, SeenPose { at, used_at: now, cam_left_from_model });
+            keep(&mut self.record.observed, ObservedPose { at, used_at: now, cam_left_from_model });
         } else {
             self.record.untrusted += 1;
         }

@@ -39,8 +39,8 @@ pub fn without_escape_sequences(line: &str) -> String {
 
 /// Whether a line contains a word in any case, with any punctuation, escape sequences or control characters around it. Only for words
 /// that stop something.
-pub fn has_word(line: &str, word: &str) -> bool {
-    let is_in = |text: &str| text.split(|c: char| !c.is_alphabetic()).any(|part| part.eq_ignore_ascii_case(word));
+pub fn has_term(line: &str, term: &str) -> bool {
+    let is_in = |text: &str| text.split(|c: char| !c.is_alphabetic()).any(|part| part.eq_ignore_ascii_case(term));
     // The line as it is, too: a key can take the first letter of the word for its own.
     is_in(line) || is_in(&without_escape_sequences(line).replace(char::is_control, ""))
 }
@@ -74,8 +74,8 @@ fn read_lines(mut input: impl BufRead, is_by_line: bool, lines: &Sender<io::Resu
         input.consume(length);
         let is_whole = end.is_some() || is_by_line || line.ends_with(&[ESCAPE]);
         // Bytes that are no text are part of a line: they must not end the reading.
-        let is_said = if is_last { !line.is_empty() } else { is_whole };
-        if (is_said && lines.send(Ok(text_of(std::mem::take(&mut line)))).is_err()) || is_last {
+        let is_complete = if is_last { !line.is_empty() } else { is_whole };
+        if (is_complete && lines.send(Ok(text_of(std::mem::take(&mut line)))).is_err()) || is_last {
             return;
         }
     }
@@ -194,11 +194,11 @@ mod tests {
     }
 
     #[test]
-    fn a_word_is_found_among_others_and_keys() {
+    fn a_command_is_found_among_other_text_and_keys() {
         for line in ["stop", "STOP!", "é stop", "\x1b[Astop", "\x1b[stop", "e-stop", "\0st\x07op", "x\u{fffd}stop"] {
-            assert!(has_word(line, "stop"), "{line:?}");
+            assert!(has_term(line, "stop"), "{line:?}");
         }
-        assert!(!["stopping", "qstop", "nonstop", "sto p", ""].into_iter().any(|line| has_word(line, "stop")));
+        assert!(!["stopping", "qstop", "nonstop", "sto p", ""].into_iter().any(|line| has_term(line, "stop")));
     }
 
     #[test]

@@ -78,20 +78,20 @@ impl TrueSurface {
         let pair = selection.drawn_on.as_ref().unwrap_or(newest);
         let (_, cam_left_from_target) = *self.poses.iter().rev().find(|(sequence, _)| *sequence == pair.sequence)?;
         let region = selection.region.rasterize(&pair.left, &RegionConfig::default()).ok()?;
-        let cam_left_from_plane = self.seen(&region, &cam_left_from_target)?;
+        let cam_left_from_plane = self.visible_surface(&region, &cam_left_from_target)?;
         Some(cam_left_from_target.inverse() * cam_left_from_plane)
     }
 
-    fn seen(
+    fn visible_surface(
         &mut self,
         region: &RegionMask,
         cam_left_from_target: &Pose<CamLeft, Target>,
     ) -> Option<Pose<CamLeft, Model>> {
         let world_from_cam_left = Pose::<World, CamLeft>::coincident();
         let poses = ScenePoses { world_from_cam_left, world_from_target: world_from_cam_left * *cam_left_from_target };
-        let seen = self.renderer.ground_truth(&poses);
+        let visible_surface = self.renderer.ground_truth(&poses);
         let camera = self.renderer.rig().left();
-        let plane = seen.plane_in(camera, |[u, v]| region.contains(u as i32, v as i32))?;
+        let plane = visible_surface.plane_in(camera, |[u, v]| region.contains(u as i32, v as i32))?;
         let ray = camera.unproject(&region.centroid_px()?).ok()?;
         model_frame_on_plane(ray / plane.dot(&ray), &-plane.normalize())
     }

@@ -74,9 +74,9 @@ impl Fingerprint {
     ///
     /// # Errors
     /// What the arm has not reported.
-    pub fn of(arm_number: u8, seen: &ArmSnapshot) -> Result<Self> {
-        let gateway = seen.gateway.as_ref().context("the arm has no gateway that identifies it")?;
-        let limits = seen.limits.iter().map(|limits| {
+    pub fn of(arm_number: u8, snapshot: &ArmSnapshot) -> Result<Self> {
+        let gateway = snapshot.gateway.as_ref().context("the arm has no gateway that identifies it")?;
+        let limits = snapshot.limits.iter().map(|limits| {
             let limits = limits.as_ref().context("the limits in the EEPROM of the controller were not read")?;
             Ok([limits.lower_rad, limits.upper_rad].map(|rad| (rad.to_degrees() * 1e4).round() / 1e4))
         });
@@ -111,12 +111,12 @@ impl CommissioningRecord {
     ///
     /// # Errors
     /// What the arm has not reported.
-    pub fn of(choice: ArmChoice, arm: &ArmSetup, seen: &ArmSnapshot) -> Result<Self> {
-        let gateway = seen.gateway.as_ref().context("the arm has no gateway that identifies it")?;
+    pub fn of(choice: ArmChoice, arm: &ArmSetup, snapshot: &ArmSnapshot) -> Result<Self> {
+        let gateway = snapshot.gateway.as_ref().context("the arm has no gateway that identifies it")?;
         Ok(Self {
             format: FORMAT,
             arm: choice.name().to_owned(),
-            fingerprint: Fingerprint::of(arm_number(arm), seen)?,
+            fingerprint: Fingerprint::of(arm_number(arm), snapshot)?,
             setup: SetupSettings::of(arm),
             gateway: GatewaySettings::of(gateway),
             steps: BTreeMap::new(),

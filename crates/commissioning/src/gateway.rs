@@ -17,7 +17,7 @@ use pb3dp_arm_pa10_gateway::service::{
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, GatewayState, StopCause};
 use pb3dp_arm_pa10_protocol::places::BusTarget;
-use pb3dp_cell::terminal::{has_word, typed_lines};
+use pb3dp_cell::terminal::{has_term, typed_lines};
 use pb3dp_hal_platform::key_file::write_new_key;
 use pb3dp_hal_platform::signals::{StopSignal, StopSignals};
 use pb3dp_hal_platform::transport::Symptom;
@@ -166,7 +166,7 @@ fn obey(server: &GatewayServer, line: &str) {
 /// Position of the switch in a typed line, true for local. `local` in any case, with other words and keys around, because it stops the
 /// arm; `remote` only alone, because it lets a host move the arm.
 fn switch_of(line: &str) -> Option<bool> {
-    if has_word(line, "local") {
+    if has_term(line, "local") {
         return Some(true);
     }
     line.trim().eq_ignore_ascii_case("remote").then_some(false)
@@ -259,7 +259,7 @@ fn tell_end(arm: u8, status: &GatewayStatus, dropped: u64) {
         status.host_lost,
         status.host_stale
     );
-    if status.is_unheard {
+    if status.stop_unacknowledged {
         tracing::error!(
             "EMERGENCY STOP: press it at arm {arm}. The controller has not answered the stop order, and the gateway ends without \
              repeating it"
@@ -281,7 +281,7 @@ fn tell_end(arm: u8, status: &GatewayStatus, dropped: u64) {
 struct Log {
     late: u64,
     worst: Duration,
-    told: Option<Instant>,
+    reported_at: Option<Instant>,
 }
 
 impl Log {
@@ -297,7 +297,7 @@ impl Log {
                 tell(&event.what);
             }
         }
-        if self.told.is_none_or(|told| told.elapsed() >= OVERRUNS_EVERY) {
+        if self.reported_at.is_none_or(|reported_at| reported_at.elapsed() >= OVERRUNS_EVERY) {
             self.tell_overruns();
         }
     }
@@ -305,12 +305,12 @@ impl Log {
     fn tell_overruns(&mut self) {
         if self.late > 0 {
             tracing::warn!("{}", overruns(self.late, self.worst));
-            *self = Self { told: Some(Instant::now()), ..Self::default() };
+            *self = Self { reported_at: Some(Instant::now()), ..Self::default() };
         }
     }
 }
 
-/// Whether a change of state is no news: a probe alone makes dozens of them.
+/// Whether a change of state is not logged: a probe alone makes dozens of them.
 fn is_routine(from: GatewayState, to: GatewayState) -> bool {
     use GatewayState::{Idle, Started};
     matches!((from, to), (Idle, Started) | (Started, Idle))
@@ -335,10 +335,10 @@ fn tell(what: &Happened) {
         }
         Happened::State { from, to, cause: StopCause::None, .. } => tracing::info!("{from} -> {to}"),
         Happened::State { from, to, cause, .. } => tracing::error!("{from} -> {to}: {cause}"),
-        Happened::Unheard => tracing::error!(
+        Happened::StopUnacknowledged => tracing::error!(
             "the controller does not answer the stop order, which is being repeated: if the arm moves, press its emergency stop"
         ),
-        Happened::Heard => tracing::info!("the controller answers and executes the stop order"),
+        Happened::StopAcknowledged => tracing::info!("the controller answers and executes the stop order"),
         Happened::HostConnected => tracing::info!("host line connected"),
         Happened::HostGreeted(dialect) => tracing::info!("host sent HELLO, dialect {dialect}"),
         Happened::HostGone(symptom) if is_normal_end(*symptom) => tracing::info!("the host has closed its line"),

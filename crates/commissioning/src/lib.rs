@@ -11,5 +11,5 @@ pub struct Program {
     /// Commit that it was built from, for reports.
     pub commit: &'static str,
     /// Flushes the log; called before the program ends at once.
-    pub last_words: fn(),
+    pub final_flush: fn(),
 }

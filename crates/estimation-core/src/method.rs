@@ -146,7 +146,7 @@ impl Debug for Deadline<'_> {
 
 impl<'a> EstimateRequest<'a> {
     /// Request for a new target, without a time limit.
-    pub fn of_target(
+    pub fn new_target(
         left: impl Into<ImageView<'a>>,
         right: impl Into<ImageView<'a>>,
         region: &'a Region,
@@ -158,7 +158,7 @@ impl<'a> EstimateRequest<'a> {
     }
 
     /// Request for the next frame of the tracked target, without a time limit.
-    pub fn of_next(left: impl Into<ImageView<'a>>, right: impl Into<ImageView<'a>>, prior: &FramePrior) -> Self {
+    pub fn next_frame(left: impl Into<ImageView<'a>>, right: impl Into<ImageView<'a>>, prior: &FramePrior) -> Self {
         let (left, right) = (left.into(), right.into());
         Self { left, right, target: None, prior: *prior, deadline: Deadline::default() }
     }
@@ -233,7 +233,7 @@ pub trait EstimationMethod: Debug + Send {
     }
 
     /// Whether the last marked target was rejected and has to be marked again.
-    fn wants_region(&self) -> bool {
+    fn needs_new_region(&self) -> bool {
         false
     }
 

@@ -89,14 +89,14 @@ mod tests {
     }
 
     #[test]
-    fn what_compression_leaves_of_a_faint_texture_is_told_from_texture() {
+    fn compression_residues_of_a_faint_texture_are_distinguished_from_texture() {
         let region =
             RegionMask::from_fn(ImageSize { width: 160, height: 120 }, |x, y| x > 20 && x < 137 && y > 13 && y < 101);
-        let seen =
+        let visible =
             |contrast, quality| is_of_blocks((&compressed(contrast, quality)).into(), &region, &mut RowPair::default());
-        assert!(seen(8.0, 8), "only the borders of blocks are left");
-        assert!(!seen(2.5, 95), "faint, but there");
-        assert!(!seen(40.0, 25), "coarse, but there");
-        assert!(!seen(0.0, 8), "nothing at all is not compression");
+        assert!(visible(8.0, 8), "only the borders of blocks are left");
+        assert!(!visible(2.5, 95), "faint, but there");
+        assert!(!visible(40.0, 25), "coarse, but there");
+        assert!(!visible(0.0, 8), "nothing at all is not compression");
     }
 }

@@ -8,7 +8,7 @@
 //! times a factor.
 
 use super::disparity_plane::DisparityPlane;
-use super::region_pyramid::{RegionLevel, is_seen};
+use super::region_pyramid::{RegionLevel, is_visible};
 use super::repetition::{Neighbourhood, neighbourhood, rows_around};
 
 /// Largest number of points compared. Chosen by hand, not varied: as in [`super::repetition`].
@@ -74,7 +74,7 @@ impl Copies {
         let pixels = (1..height.saturating_sub(1)).flat_map(|y| (1..width.saturating_sub(1)).map(move |x| (x, y)));
         let inside = pixels.filter(|(x, y)| {
             let i = y * width + x;
-            level.region[i] != 0 && is_seen(level.left.flags[i])
+            level.region[i] != 0 && is_visible(level.left.flags[i])
         });
         self.points.clear();
         self.points.extend(inside.step_by(step).map(|(x, y)| {
@@ -95,7 +95,7 @@ impl Copies {
                 let rows = rows_around(&level.right, row);
                 let flags = &level.right.flags[row * right.width..][..right.width];
                 self.rows[row].extend((0..right.width).map(|x| {
-                    match x > 0 && x + 1 < right.width && is_seen(flags[x]) {
+                    match x > 0 && x + 1 < right.width && is_visible(flags[x]) {
                         true => neighbourhood(&rows, x),
                         false => Neighbourhood::default(),
                     }

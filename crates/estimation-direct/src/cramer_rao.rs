@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ramp_can_not_be_told_from_an_offset() {
+    fn a_ramp_cannot_be_distinguished_from_an_offset() {
         let ramp = |u: f64| BoundSample { at_px: Vector2::new(u, 0.0), value: 3.0 * u, gradient: 3.0 };
         let information = channel_information((-40..=40).map(|u| ramp(f64::from(u))), 1.0);
         assert!(information[(0, 0)].abs() < 1e-6, "{information}");

@@ -252,9 +252,9 @@ impl DirectEstimator {
             search_area_px: shape::AREA_MAX_PX,
         };
         let mut pyramid = RegionPyramid::default();
-        let is_seen = !is_same_image(left, right) && pyramid.update(&self.front_end, &source);
+        let is_visible = !is_same_image(left, right) && pyramid.update(&self.front_end, &source);
         let search = &self.config.cold_start.search;
-        let (pixels, spacing_px) = match is_seen {
+        let (pixels, spacing_px) = match is_visible {
             true => {
                 let level = &pyramid.levels()[pyramid.search_level()];
                 (shape::shape_of(level, disparity_px, search, self.front_end.kernels()), level.scale as f64)

@@ -394,12 +394,12 @@ mod tests {
         let window = PixelWindow { x: 90, y: 60, width: 120, height: 110 };
         front.load(Side::Left, (&left).into(), window, Wanted::Colour, &mut planes);
         let back = front.cam_left_rect_from_cam_left().inverse();
-        let (mut worst, mut seen) = (0.0_f64, 0);
+        let (mut worst, mut counted) = (0.0_f64, 0);
         for (x, y) in (0..120).flat_map(|x| (0..110).map(move |y| (x, y))).filter(|(x, y)| (x + y) % 7 == 0) {
             if planes.flags[y * 120 + x] != 0 {
                 continue;
             }
-            seen += 1;
+            counted += 1;
             let ray = front.geometry().left_ray(&Vector2::new((x + 90) as f64, (y + 60) as f64));
             let rgb = colour(&back.transform_vector(&ray));
             for (plane, turn) in planes.planes.iter().zip(OPPONENT_FROM_RGB) {
@@ -407,7 +407,7 @@ mod tests {
                 worst = worst.max((f64::from(plane.row(y)[x]) - expected).abs());
             }
         }
-        assert!(seen > 1500 && worst < 1.0, "{seen} pixels, off by {worst}");
+        assert!(counted > 1500 && worst < 1.0, "{counted} pixels, off by {worst}");
     }
 
     #[test]

@@ -17,7 +17,7 @@ use self::closest::Sampled;
 use self::fit::{PatchVotes, fit_votes};
 use self::kernels::{PeakLimits, Tally};
 use super::colour_planes::ColourPlanes;
-use super::region_pyramid::{LevelPlane, RegionLevel, is_seen};
+use super::region_pyramid::{LevelPlane, RegionLevel, is_visible};
 use super::search::volume::LevelBox;
 use crate::surface_choice::SurfaceChoice;
 
@@ -353,7 +353,7 @@ fn keep_unseen_pixels(level: &mut RegionLevel, area: &LevelBox) {
             }
         }
         for (support, flags) in support.iter_mut().zip(flags) {
-            *support = if is_seen(*flags) { *support } else { 0 };
+            *support = if is_visible(*flags) { *support } else { 0 };
         }
     }
 }

@@ -98,7 +98,7 @@ pub struct RefinedPlane {
     /// Share of the points that agree with the plane, 0 to 1.
     pub inlier_share: f64,
     /// Share of the points inside the right window, 0 to 1.
-    pub seen_share: f64,
+    pub visible_share: f64,
     /// Standard deviation of the residuals of agreeing points, grey levels of the first channel.
     pub residual_sigma: f64,
     /// Gain of the right image relative to the left: a right value is this times the left one.
@@ -440,10 +440,10 @@ impl PlaneRefiner {
     fn drop_bad_border(&mut self, warp: &Warp, all: Sums) -> Sums {
         let squares = |sums: &Sums| sums.channel.iter().take(warp.channels).map(|s| s.products.rr).sum::<f64>();
         let inner = &all.inner;
-        let border_seen = all.seen - inner.seen;
+        let border_visible = all.visible - inner.visible;
         let (border_weight, border_squares) = (all.weight - inner.weight, squares(&all) - inner.squares);
-        let enough = inner.seen >= BORDER_POINTS_MIN && border_seen >= BORDER_POINTS_MIN;
-        let lost = border_weight / border_seen < BORDER_WEIGHT_MIN * inner.weight / inner.seen;
+        let enough = inner.visible >= BORDER_POINTS_MIN && border_visible >= BORDER_POINTS_MIN;
+        let lost = border_weight / border_visible < BORDER_WEIGHT_MIN * inner.weight / inner.visible;
         let worse = border_squares * inner.weight > BORDER_SQUARES_MAX * inner.squares * border_weight;
         if enough && (lost || worse) {
             std::mem::swap(&mut self.points.unit, &mut self.points.inner);
@@ -547,8 +547,8 @@ impl PlaneRefiner {
             covariance,
             row_offset_px: progress.row_px,
             blur_px2: progress.blur_px2 * prepared.scale * prepared.scale,
-            inlier_share: (sums.weight / (mean_weight * sums.seen.max(1.0))).min(1.0),
-            seen_share: sums.seen / used.max(1.0),
+            inlier_share: (sums.weight / (mean_weight * sums.visible.max(1.0))).min(1.0),
+            visible_share: sums.visible / used.max(1.0),
             residual_sigma: states[0].variance.sqrt(),
             gain: states[0].gain_root.powi(-2),
             points: prepared.count,

@@ -424,7 +424,7 @@ fn halve_region_row_kernel(upper: &[u8], lower: &[u8], out: &mut [u8]) {
 }
 
 /// Whether a pixel with these flags is inside the image.
-pub fn is_seen(flags: u8) -> bool {
+pub fn is_visible(flags: u8) -> bool {
     flags & UNSEEN == 0
 }
 

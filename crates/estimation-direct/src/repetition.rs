@@ -8,7 +8,7 @@
 //! disparity (plus the offset to infinity), which again gives a plane.
 
 use super::colour_planes::ColourPlanes;
-use super::region_pyramid::{LevelPlane, RegionLevel, is_seen};
+use super::region_pyramid::{LevelPlane, RegionLevel, is_visible};
 use super::search::NOISE_GREY;
 use crate::surface_choice::SurfaceChoice;
 
@@ -80,7 +80,7 @@ impl Repetition {
         let is_whole = |&(x, y): &(usize, usize)| {
             let i = y * width + x;
             let within = x > 0 && y > 0 && x + 1 < width && y + 1 < height;
-            within && level.region[i] != 0 && is_seen(level.left.flags[i])
+            within && level.region[i] != 0 && is_visible(level.left.flags[i])
         };
         let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
         self.points.clear();

@@ -355,11 +355,11 @@ fn textured_patch(level: &RegionLevel, point: Vector2<i64>) -> Option<Patch> {
     // Noise halves with the size.
     let gradient_min = GRADIENT_MIN * f64::from(1 << COARSE) / level.scale as f64;
     let patch = Patch::take(level.left.luminance(), point).filter(|patch| patch.gradient >= gradient_min);
-    patch.filter(|_| is_seen(&level.left, point))
+    patch.filter(|_| is_visible(&level.left, point))
 }
 
 /// Whether the raw image shows the whole patch: the border of what it shows is no texture.
-fn is_seen(planes: &ColourPlanes, place: Vector2<i64>) -> bool {
+fn is_visible(planes: &ColourPlanes, place: Vector2<i64>) -> bool {
     let radius = RADIUS as i64;
     let inside =
         |at: i64, length: usize| (at - radius).max(0) as usize..((at + radius + 1).max(0) as usize).min(length);
@@ -392,7 +392,7 @@ fn find_again(
         place = found;
     }
     let (left, right) = (&levels[0].left, &levels[0].right);
-    if !is_seen(right, place) {
+    if !is_visible(right, place) {
         return None;
     }
     let (shift, row_variance) = refine(left.luminance(), right.luminance(), at, place)?;

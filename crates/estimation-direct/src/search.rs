@@ -488,6 +488,6 @@ fn visible(level: &RegionLevel, range: &RangeInclusive<i32>) -> Option<RangeIncl
     let (left, right) = (&level.left.window, &level.right.window);
     let lowest = left.x.saturating_sub(right.x.saturating_add(right.width as i32));
     let highest = left.x.saturating_add(left.width as i32).saturating_sub(right.x);
-    let seen = range.start().saturating_sub(1).max(lowest)..=range.end().saturating_add(1).min(highest);
-    (!seen.is_empty()).then_some(seen)
+    let widened = range.start().saturating_sub(1).max(lowest)..=range.end().saturating_add(1).min(highest);
+    (!widened.is_empty()).then_some(widened)
 }

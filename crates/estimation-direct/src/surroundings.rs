@@ -429,7 +429,7 @@ mod tests {
             ),
             row_offset_px: 0.0,
             inlier_share: 1.0,
-            seen_share: 1.0,
+            visible_share: 1.0,
             residual_sigma: 1.0,
             gain: 1.2,
             blur_px2: 0.0,
@@ -488,7 +488,7 @@ mod tests {
     }
 
     #[test]
-    fn a_small_step_is_seen_as_far_as_the_plane_is_known() {
+    fn a_small_step_is_detected_within_the_accuracy_of_the_plane() {
         let count = |slope_sigma: f64| {
             let mut level = level(55.0, 0.25);
             let refined = refined(&level, slope_sigma);

@@ -159,8 +159,8 @@ fn too_little(
     }
     if textured < choice.textured_min {
         let (textured, limit) = (100.0 * textured, 100.0 * choice.textured_min);
-        let seen = format!("only {textured:.0} % of the region has texture (limit {limit:.0} %)");
-        let reason = format!("{seen}: choose a textured target or add light");
+        let evidence = format!("only {textured:.0} % of the region has texture (limit {limit:.0} %)");
+        let reason = format!("{evidence}: choose a textured target or add light");
         return Some(Verdict { status: Status::NotObservable, reason });
     }
     // Patches that mix several surfaces support none of them; single disparities do.
@@ -169,8 +169,8 @@ fn too_little(
         true => (Status::NotObservable, 100.0 * limits.support_min),
         false => (Status::Ambiguous, 100.0 * sure_min),
     };
-    let seen = format!("only {:.0} % of the region agrees with one plane (limit {limit:.0} %)", 100.0 * support);
-    Some(Verdict { status, reason: format!("{seen}; {}", cause(outcome, searched, limits)) })
+    let evidence = format!("only {:.0} % of the region agrees with one plane (limit {limit:.0} %)", 100.0 * support);
+    Some(Verdict { status, reason: format!("{evidence}; {}", cause(outcome, searched, limits)) })
 }
 
 /// Whether the region has texture but too little of it agrees with one plane for a confident estimate, or its disparities
@@ -187,11 +187,11 @@ fn lies_spread(outcome: &ColdStartOutcome) -> bool {
 
 /// Reason if the disparities lie on no plane.
 fn spread(outcome: &ColdStartOutcome, agreeing: f64) -> String {
-    let seen = match outcome.continued.is_some_and(|continued| continued.is_certain) {
+    let evidence = match outcome.continued.is_some_and(|continued| continued.is_certain) {
         true => "the surface is curved; its plane of least squares is reported",
         false => "the disparities scatter around every plane; the plane with the most support is reported",
     };
-    format!("{seen} ({agreeing:.0} % of the region agrees): mark a flat part")
+    format!("{evidence} ({agreeing:.0} % of the region agrees): mark a flat part")
 }
 
 /// Where a rival of a plane lies: of a plane through the same place the distance says nothing.
@@ -252,11 +252,11 @@ pub(super) fn judge(
         return say(Status::Ambiguous, reason);
     }
     if let Some(period_px) = outcome.repeats_px {
-        let seen = format!(
+        let evidence = format!(
             "the texture repeats every {period_px:.0} px, and only {agreeing:.0} % of the region agrees with the plane"
         );
         let advice = "the target may be outside the depth range; widen it (--z-range)";
-        return say(Status::Ambiguous, format!("{seen}: {advice}"));
+        return say(Status::Ambiguous, format!("{evidence}: {advice}"));
     }
     if let Some(second) = similar_second(outcome, limits) {
         return say(

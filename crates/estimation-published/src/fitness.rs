@@ -78,9 +78,9 @@ pub struct Votes {
     /// Outer points that match.
     pub outer_matches: u32,
     /// Inner points on a pixel with a hue.
-    pub inner_seen: u32,
+    pub inner_visible: u32,
     /// Outer points on a pixel with a hue.
-    pub outer_seen: u32,
+    pub outer_visible: u32,
 }
 
 /// Memory of the fitness, kept between frames: nothing is allocated after the largest frame.
@@ -167,8 +167,8 @@ impl PreparedFitness<'_> {
         let projection = self.projector.projection(psi)?;
         let [inner, outer] =
             [inner, outer].map(|points| count(*kernels, self.right, config.tolerance_steps(), points, &projection));
-        let ([inner_matches, inner_seen], [outer_matches, outer_seen]) = (inner, outer);
-        Some(Votes { inner_matches, outer_matches, inner_seen, outer_seen })
+        let ([inner_matches, inner_visible], [outer_matches, outer_visible]) = (inner, outer);
+        Some(Votes { inner_matches, outer_matches, inner_visible, outer_visible })
     }
 
     /// Sum of all votes of eqs (8) and (9) in tenths.
@@ -176,7 +176,7 @@ impl PreparedFitness<'_> {
         let HueFitness { config, inner, outer, .. } = self.memory;
         let (inner_voters, outer_voters) = match config.unseen {
             Unseen::Mismatch => (inner.len() as i32, outer.len() as i32),
-            Unseen::Abstain => (votes.inner_seen as i32, votes.outer_seen as i32),
+            Unseen::Abstain => (votes.inner_visible as i32, votes.outer_visible as i32),
         };
         let (inner_matches, outer_matches) = (votes.inner_matches as i32, votes.outer_matches as i32);
         20 * inner_matches - 10 * (inner_voters - inner_matches) + outer_matches - 20 * (outer_voters - outer_matches)

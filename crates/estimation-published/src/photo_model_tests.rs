@@ -64,7 +64,7 @@ fn points_carry_the_hue_of_their_pixel_row_by_row() {
 }
 
 #[test]
-fn grey_points_are_left_out_and_told() {
+fn grey_points_are_left_out_and_reported() {
     let model = PhotoModel::sample(&left_image(), &disc(90, 120, 30), &PhotoModelConfig::default());
     assert!(model.inner().iter().all(|p| p.v < 120));
     assert!((0.4..0.6).contains(&model.coloured_share()), "{}", model.coloured_share());

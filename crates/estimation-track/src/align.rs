@@ -8,7 +8,7 @@ use pb3dp_geometry::{Pose, StereoRig};
 use super::images::{CameraImages, LEVELS};
 use super::kernels::{
     self, CHANNELS, CameraRows, GroupScore, NormalSums, PATCH, PATCH_OWN, PATCH_RESIDUAL, PairWeights, Photometry, ROW,
-    ResidualGroup, ResidualSums, SHAPE, SeenGroup, TERMS, ViewGroup,
+    ResidualGroup, ResidualSums, SHAPE, SampledGroup, TERMS, ViewGroup,
 };
 use super::normal::{Free, NormalEquations, PatchScore, Prior, Step, Unknowns, UnknownsMatrix};
 use super::observed::{noise_information, noise_weights, symmetric};
@@ -122,7 +122,7 @@ pub(super) struct Aligned {
 #[derive(Clone, Debug)]
 pub(super) struct Aligner {
     kernels: Kernels,
-    pub(super) seen: [Vec<[SeenGroup; 2]>; LEVELS],
+    pub(super) sampled: [Vec<[SampledGroup; 2]>; LEVELS],
     pub(super) residuals: Vec<ResidualGroup>,
     patches: Vec<[f32; PATCH]>,
     group_scores: Vec<GroupScore>,
@@ -135,7 +135,7 @@ impl Aligner {
         let count = surface.levels.iter().map(|level| level.groups.len()).max().unwrap_or(0);
         Self {
             kernels,
-            seen: std::array::from_fn(|level| vec![Default::default(); surface.levels[level].groups.len()]),
+            sampled: std::array::from_fn(|level| vec![Default::default(); surface.levels[level].groups.len()]),
             residuals: vec![ResidualGroup::default(); count],
             patches: vec![[0.0; PATCH]; count],
             group_scores: vec![GroupScore::default(); count],
@@ -219,13 +219,13 @@ impl Aligner {
 
     /// Correlation of the view with the image that it matches worse.
     pub(super) fn resemblance(&self, problem: &Problem<'_>, level: usize) -> f64 {
-        let [left, right] = kernels::correlate(self.kernels, &self.seen[level], &problem.view.levels[level], None);
+        let [left, right] = kernels::correlate(self.kernels, &self.sampled[level], &problem.view.levels[level], None);
         left.value().min(right.value())
     }
 
     /// Weighted correlations of the view with both images at full resolution.
     pub(super) fn correlate(&self, view: &[ViewGroup]) -> [Correlation; 2] {
-        kernels::correlate(self.kernels, &self.seen[0], view, Some(&self.residuals))
+        kernels::correlate(self.kernels, &self.sampled[0], view, Some(&self.residuals))
     }
 
     /// Runs one step.
@@ -269,12 +269,12 @@ impl Aligner {
         photometry: &Photometry,
     ) -> Option<ResidualSums> {
         let (kernels, surface) = (self.kernels, &problem.surface.levels[level]);
-        let seen = &mut self.seen[level];
+        let sampled = &mut self.sampled[level];
         for (side, images) in problem.images.iter().enumerate() {
             let rows = camera_rows(&problem.cam_from_model(side, &estimate.cam_left_from_model));
             let row_offset = if side == 1 { estimate.row_offset_px as f32 } else { 0.0 };
-            kernels::project(kernels, &surface.groups, &surface.lens[side], &rows, row_offset, seen, side);
-            kernels::sample(kernels, images, level, seen, side);
+            kernels::project(kernels, &surface.groups, &surface.lens[side], &rows, row_offset, sampled, side);
+            kernels::sample(kernels, images, level, sampled, side);
         }
         let sums = self.weigh(problem, level, photometry);
         (sums.points[0].max(sums.points[1]) >= POINTS_MIN).then_some(sums)
@@ -282,7 +282,7 @@ impl Aligner {
 
     fn weigh(&mut self, problem: &Problem<'_>, level: usize, photometry: &Photometry) -> ResidualSums {
         let view = &problem.view.levels[level];
-        kernels::weigh(self.kernels, &self.seen[level], view, photometry, &mut self.residuals)
+        kernels::weigh(self.kernels, &self.sampled[level], view, photometry, &mut self.residuals)
     }
 
     fn accumulate(
@@ -295,7 +295,7 @@ impl Aligner {
         kernels::accumulate(
             self.kernels,
             &problem.surface.levels[level].groups[range.clone()],
-            &self.seen[level][range.clone()],
+            &self.sampled[level][range.clone()],
             &problem.view.levels[level][range.clone()],
             &self.residuals[range.clone()],
             weights,
@@ -333,12 +333,12 @@ impl Aligner {
         equations.add(&self.sums);
         equations.remove_patch_offsets(&self.patches[..count], estimate.patch_sigma);
         let noise = noise_weights(&weights, &photometry.variance[2]);
-        let (groups, seen) = (&problem.surface.levels[0].groups, &self.seen[0]);
-        equations.noise = symmetric(&noise_information(self.kernels, groups, seen, &self.residuals, &noise));
+        let (groups, sampled) = (&problem.surface.levels[0].groups, &self.sampled[0]);
+        equations.noise = symmetric(&noise_information(self.kernels, groups, sampled, &self.residuals, &noise));
         kernels::score(
             self.kernels,
             &problem.surface.levels[0].groups,
-            &self.seen[0],
+            &self.sampled[0],
             &problem.view.levels[0],
             &self.residuals,
             &weights,
@@ -375,7 +375,7 @@ impl Aligner {
         problem_surface.linearise_lens(level, 0, rig.left(), pose.isometry());
         let surface = &problem_surface.levels[level];
         let rows = camera_rows(pose.isometry());
-        kernels::project(self.kernels, &surface.groups, &surface.lens[0], &rows, 0.0, &mut self.seen[level], 0);
+        kernels::project(self.kernels, &surface.groups, &surface.lens[0], &rows, 0.0, &mut self.sampled[level], 0);
     }
 }
 

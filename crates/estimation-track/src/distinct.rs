@@ -24,8 +24,8 @@ pub(super) fn independent_points(level: &SurfaceLevel, view: &[ViewGroup]) -> f6
     let groups = level.groups.iter().zip(&level.places).zip(view);
     let all: Vec<Point> = groups
         .flat_map(|((group, place), view)| {
-            let seen = (0..LANES).filter(|&i| view.valid.0[i] * group.mask.0[i] > 0.0);
-            seen.map(|i| (place.pixel.map(|x| x.0[i]), view.value.map(|v| v.0[i])))
+            let valid_lanes = (0..LANES).filter(|&i| view.valid.0[i] * group.mask.0[i] > 0.0);
+            valid_lanes.map(|i| (place.pixel.map(|x| x.0[i]), view.value.map(|v| v.0[i])))
         })
         .collect();
     independent(all.iter().step_by(all.len().div_ceil(POINTS_MAX).max(1)).copied().collect())

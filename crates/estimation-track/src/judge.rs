@@ -5,7 +5,7 @@ use std::fmt;
 use pb3dp_estimation_core::wide::LANES;
 
 use super::distinct::beyond_chance;
-use super::kernels::{CHANNELS, ResidualGroup, SeenGroup, TERMS, ViewGroup};
+use super::kernels::{CHANNELS, ResidualGroup, SampledGroup, TERMS, ViewGroup};
 use crate::kernels::{Correlation, Moments};
 
 /// Smallest robust weight of an inlier. Chosen by hand, not varied: the weight at 2 standard deviations is 0.31, (1 - (2 /
@@ -77,7 +77,7 @@ impl fmt::Display for Misfit {
 impl Fit {
     /// Measures the fit on one level; `correlations` are weighted, `reference` are the residual variances of a fitting target.
     pub(super) fn measure(
-        seen: &[[SeenGroup; 2]],
+        sampled: &[[SampledGroup; 2]],
         view: &[ViewGroup],
         residuals: &[ResidualGroup],
         correlations: &[Correlation; 2],
@@ -85,8 +85,8 @@ impl Fit {
         reference: &[[f32; CHANNELS]; TERMS],
     ) -> Self {
         let (mut visible, mut inliers) = ([0_u32; TERMS], [0_u32; TERMS]);
-        for ((seen, view), residual) in seen.iter().zip(view).zip(residuals) {
-            let valid = [0, 1].map(|side| seen[side].valid * view.valid);
+        for ((sampled, view), residual) in sampled.iter().zip(view).zip(residuals) {
+            let valid = [0, 1].map(|side| sampled[side].valid * view.valid);
             let valid = [valid[0], valid[1], valid[0] * valid[1]];
             for term in 0..TERMS {
                 for i in 0..LANES {

@@ -72,7 +72,7 @@ pub(super) struct ViewGroup {
 
 /// A group of points in one image of the current pair.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct SeenGroup {
+pub(super) struct SampledGroup {
     /// Raw pixel.
     pub(super) pixel: [Lanes; 2],
     /// Derivative of the pixel (u, then v) with respect to the position in `model`.
@@ -122,32 +122,32 @@ pub(super) type CameraRows = [f32; 12];
 
 wide! {
     /// Projects groups into one image.
-    pub(super) fn project(surface: &[SurfaceGroup], lens: &[LensGroup], camera: &CameraRows, row_offset: f32, seen: &mut [[SeenGroup; 2]], side: usize) = project_kernel;
+    pub(super) fn project(surface: &[SurfaceGroup], lens: &[LensGroup], camera: &CameraRows, row_offset: f32, sampled: &mut [[SampledGroup; 2]], side: usize) = project_kernel;
 }
 
 wide! {
     /// Samples the channels at the projected points.
-    pub(super) fn sample(images: &CameraImages, level: usize, seen: &mut [[SeenGroup; 2]], side: usize) = sample_kernel;
+    pub(super) fn sample(images: &CameraImages, level: usize, sampled: &mut [[SampledGroup; 2]], side: usize) = sample_kernel;
 }
 
 wide! {
     /// Computes residuals relative to a stored view, and their robust weights.
-    pub(super) fn weigh(seen: &[[SeenGroup; 2]], view: &[ViewGroup], photometry: &Photometry, out: &mut [ResidualGroup]) -> ResidualSums = weigh_kernel;
+    pub(super) fn weigh(sampled: &[[SampledGroup; 2]], view: &[ViewGroup], photometry: &Photometry, out: &mut [ResidualGroup]) -> ResidualSums = weigh_kernel;
 }
 
 wide! {
     /// Adds the normal equations of groups to `sums`; the terms of each group's own offset are written to `patches`.
-    pub(super) fn accumulate(surface: &[SurfaceGroup], seen: &[[SeenGroup; 2]], view: &[ViewGroup], residuals: &[ResidualGroup], weights: &PairWeights, sums: &mut NormalSums, patches: &mut [[f32; PATCH]]) = accumulate_kernel;
+    pub(super) fn accumulate(surface: &[SurfaceGroup], sampled: &[[SampledGroup; 2]], view: &[ViewGroup], residuals: &[ResidualGroup], weights: &PairWeights, sums: &mut NormalSums, patches: &mut [[f32; PATCH]]) = accumulate_kernel;
 }
 
 wide! {
     /// Sums for the correlation of a view with both images: over all visible points, or weighted.
-    pub(super) fn correlate(seen: &[[SeenGroup; 2]], view: &[ViewGroup], residuals: Option<&[ResidualGroup]>) -> [Correlation; 2] = correlate_kernel;
+    pub(super) fn correlate(sampled: &[[SampledGroup; 2]], view: &[ViewGroup], residuals: Option<&[ResidualGroup]>) -> [Correlation; 2] = correlate_kernel;
 }
 
 wide! {
     /// The right-hand side of each group, and its second derivatives with respect to its inverse depth.
-    pub(super) fn score(surface: &[SurfaceGroup], seen: &[[SeenGroup; 2]], view: &[ViewGroup], residuals: &[ResidualGroup], weights: &PairWeights, scores: &mut [GroupScore]) = score_kernel;
+    pub(super) fn score(surface: &[SurfaceGroup], sampled: &[[SampledGroup; 2]], view: &[ViewGroup], residuals: &[ResidualGroup], weights: &PairWeights, scores: &mut [GroupScore]) = score_kernel;
 }
 
 /// The right-hand side of a group.
@@ -174,22 +174,22 @@ impl Default for GroupScore {
 #[inline(always)]
 #[allow(clippy::needless_range_loop, reason = "cameras and channels index several arrays")]
 fn correlate_kernel(
-    seen: &[[SeenGroup; 2]],
+    sampled: &[[SampledGroup; 2]],
     view: &[ViewGroup],
     residuals: Option<&[ResidualGroup]>,
 ) -> [Correlation; 2] {
     let mut sums = [[MomentSums::<Lanes>::default(); CHANNELS]; 2];
     let mut counts = [Lanes::ZERO; 2];
-    for (index, (seen, view)) in seen.iter().zip(view).enumerate() {
+    for (index, (sampled, view)) in sampled.iter().zip(view).enumerate() {
         for side in 0..2 {
             let weight = match residuals {
                 Some(residuals) => residuals[index].weight[side],
-                None => seen[side].valid * view.valid,
+                None => sampled[side].valid * view.valid,
             };
             counts[side] += weight;
-            let (mut of_view, mut of_image) = (view.value, seen[side].value);
-            if any_clipped(clipped(seen)) {
-                leave_out_of_values(&seen[side].clipped, &mut of_view, &mut of_image);
+            let (mut of_view, mut of_image) = (view.value, sampled[side].value);
+            if any_clipped(clipped(sampled)) {
+                leave_out_of_values(&sampled[side].clipped, &mut of_view, &mut of_image);
             }
             for c in 0..CHANNELS {
                 let (a, b) = (of_view[c], of_image[c]);
@@ -213,21 +213,21 @@ fn correlate_kernel(
 #[allow(clippy::needless_range_loop, reason = "channels index several arrays")]
 fn score_kernel(
     surface: &[SurfaceGroup],
-    seen: &[[SeenGroup; 2]],
+    sampled: &[[SampledGroup; 2]],
     view: &[ViewGroup],
     residuals: &[ResidualGroup],
     weights: &PairWeights,
     scores: &mut [GroupScore],
 ) {
-    let groups = surface.iter().zip(seen).zip(view).zip(residuals).zip(scores);
-    for ((((surface, seen), view), residual), score) in groups {
+    let groups = surface.iter().zip(sampled).zip(view).zip(residuals).zip(scores);
+    for ((((surface, sampled), view), residual), score) in groups {
         let mut slope = [Lanes::ZERO; UNKNOWNS];
         let mut by_depth = [Lanes::ZERO; UNKNOWNS];
-        let gradient = unclipped(clipped(seen), &view.gradient);
+        let gradient = unclipped(clipped(sampled), &view.gradient);
         for c in 0..CHANNELS {
             let [left, right, pair] = pair_weights(residual, weights, c);
-            let in_left = derivatives(surface, &seen[0], &gradient[c], 0);
-            let in_right = derivatives(surface, &seen[1], &gradient[c], 1);
+            let in_left = derivatives(surface, &sampled[0], &gradient[c], 0);
+            let in_right = derivatives(surface, &sampled[1], &gradient[c], 1);
             let (r_left, r_right) = (residual.residual[0][c], residual.residual[1][c]);
             let to_left = (left + pair) * r_left - pair * r_right;
             let to_right = (right + pair) * r_right - pair * r_left;
@@ -253,20 +253,20 @@ fn project_kernel(
     lens: &[LensGroup],
     camera: &CameraRows,
     row_offset: f32,
-    seen: &mut [[SeenGroup; 2]],
+    sampled: &mut [[SampledGroup; 2]],
     side: usize,
 ) {
     let row =
         |i: usize| [Lanes::splat(camera[4 * i]), Lanes::splat(camera[4 * i + 1]), Lanes::splat(camera[4 * i + 2])];
     let (r0, r1, r2) = (row(0), row(1), row(2));
-    for ((group, lens), seen) in surface.iter().zip(lens).zip(seen) {
+    for ((group, lens), sampled) in surface.iter().zip(lens).zip(sampled) {
         let z = Lanes::splat(camera[11]) + dot(&r2, &group.point);
         let inverse_z = z.max(1e-3).reciprocal();
         let x = (Lanes::splat(camera[3]) + dot(&r0, &group.point)) * inverse_z;
         let y = (Lanes::splat(camera[7]) + dot(&r1, &group.point)) * inverse_z;
         let [x0, y0, u, v, u_by_x, u_by_y, v_by_x, v_by_y] = *lens;
         let (dx, dy) = (x - x0, y - y0);
-        let out = &mut seen[side];
+        let out = &mut sampled[side];
         out.pixel =
             [u.plus(u_by_x, dx).plus(u_by_y, dy), (v + Lanes::splat(row_offset)).plus(v_by_x, dx).plus(v_by_y, dy)];
         repeated!(i in [0, 1, 2] => {
@@ -288,8 +288,8 @@ fn project_kernel(
 
 /// The saturated colours of both images.
 #[inline(always)]
-fn clipped(seen: &[SeenGroup; 2]) -> [&Lanes; 2] {
-    [&seen[0].clipped, &seen[1].clipped]
+fn clipped(sampled: &[SampledGroup; 2]) -> [&Lanes; 2] {
+    [&sampled[0].clipped, &sampled[1].clipped]
 }
 
 #[inline(always)]
@@ -304,29 +304,29 @@ const EDGE_ON: f32 = 0.08;
 const SATURATED_MAX: f32 = 0.15;
 
 #[inline(always)]
-fn sample_kernel(images: &CameraImages, level: usize, seen: &mut [[SeenGroup; 2]], side: usize) {
+fn sample_kernel(images: &CameraImages, level: usize, sampled: &mut [[SampledGroup; 2]], side: usize) {
     let origin_px = images.origin_px();
     let factor = 1.0 / (1_u32 << level) as f32;
-    for seen in seen {
-        let seen = &mut seen[side];
-        seen.clipped = Lanes::ZERO;
+    for sampled in sampled {
+        let sampled = &mut sampled[side];
+        sampled.clipped = Lanes::ZERO;
         for i in 0..LANES {
-            if seen.valid.0[i] == 0.0 {
+            if sampled.valid.0[i] == 0.0 {
                 continue;
             }
-            let x = (seen.pixel[0].0[i] - origin_px[0] + 0.5) * factor - 0.5;
-            let y = (seen.pixel[1].0[i] - origin_px[1] + 0.5) * factor - 0.5;
+            let x = (sampled.pixel[0].0[i] - origin_px[0] + 0.5) * factor - 0.5;
+            let y = (sampled.pixel[1].0[i] - origin_px[1] + 0.5) * factor - 0.5;
             match images.sample(level, x, y) {
                 Some(texel) => {
-                    (0..CHANNELS).for_each(|c| seen.value[c].0[i] = texel[c]);
+                    (0..CHANNELS).for_each(|c| sampled.value[c].0[i] = texel[c]);
                     let is_clipped = texel[3] >= SATURATED_MAX;
                     match one_colour(texel, level) {
-                        Some(colour) if is_clipped => seen.clipped.0[i] = f32::from(colour),
-                        None if is_clipped => seen.valid.0[i] = 0.0,
+                        Some(colour) if is_clipped => sampled.clipped.0[i] = f32::from(colour),
+                        None if is_clipped => sampled.valid.0[i] = 0.0,
                         _ => {}
                     }
                 }
-                None => seen.valid.0[i] = 0.0,
+                None => sampled.valid.0[i] = 0.0,
             }
         }
     }
@@ -339,7 +339,7 @@ const TUKEY: f32 = 3.0;
 #[inline(always)]
 #[allow(clippy::needless_range_loop, reason = "cameras and channels index several arrays")]
 fn weigh_kernel(
-    seen: &[[SeenGroup; 2]],
+    sampled: &[[SampledGroup; 2]],
     view: &[ViewGroup],
     photometry: &Photometry,
     out: &mut [ResidualGroup],
@@ -349,16 +349,16 @@ fn weigh_kernel(
     let mut squares = [[Lanes::ZERO; CHANNELS]; TERMS];
     let mut weights = [Lanes::ZERO; TERMS];
     let mut points = [Lanes::ZERO; TERMS];
-    for ((seen, view), out) in seen.iter().zip(view).zip(out) {
+    for ((sampled, view), out) in sampled.iter().zip(view).zip(out) {
         for side in 0..2 {
             for c in 0..CHANNELS {
                 let (gain, offset) = (photometry.gain[side][c], photometry.offset[side][c]);
-                out.residual[side][c] = seen[side].value[c] - view.value[c].scale(gain) - Lanes::splat(offset);
+                out.residual[side][c] = sampled[side].value[c] - view.value[c].scale(gain) - Lanes::splat(offset);
             }
         }
-        let valid = [seen[0].valid * view.valid, seen[1].valid * view.valid];
+        let valid = [sampled[0].valid * view.valid, sampled[1].valid * view.valid];
         let valid = [valid[0], valid[1], valid[0] * valid[1]];
-        let clipped = clipped(seen);
+        let clipped = clipped(sampled);
         let scale = if any_clipped(clipped) { leave_out(clipped, &mut out.residual) } else { Lanes::splat(1.0) };
         for term in 0..TERMS {
             let mut square = [Lanes::ZERO; CHANNELS];
@@ -440,13 +440,13 @@ fn pair_weights(residual: &ResidualGroup, weights: &PairWeights, channel: usize)
 #[inline(always)]
 pub(super) fn derivatives(
     surface: &SurfaceGroup,
-    seen: &SeenGroup,
+    sampled: &SampledGroup,
     gradient: &[Lanes; 2],
     side: usize,
 ) -> [Lanes; UNKNOWNS] {
-    let by_u = gradient[0] * seen.unwarp[0] + gradient[1] * seen.unwarp[2];
-    let by_v = gradient[0] * seen.unwarp[1] + gradient[1] * seen.unwarp[3];
-    let by = &seen.by_point;
+    let by_u = gradient[0] * sampled.unwarp[0] + gradient[1] * sampled.unwarp[2];
+    let by_v = gradient[0] * sampled.unwarp[1] + gradient[1] * sampled.unwarp[3];
+    let by = &sampled.by_point;
     let m = [by_u * by[0] + by_v * by[3], by_u * by[1] + by_v * by[4], by_u * by[2] + by_v * by[5]];
     let p = &surface.point;
     let slide = m[0] * surface.slide[0] + m[1] * surface.slide[1] + m[2] * surface.slide[2];
@@ -468,21 +468,21 @@ pub(super) fn derivatives(
 #[allow(clippy::needless_range_loop, reason = "channels index several arrays")]
 fn accumulate_kernel(
     surface: &[SurfaceGroup],
-    seen: &[[SeenGroup; 2]],
+    sampled: &[[SampledGroup; 2]],
     view: &[ViewGroup],
     residuals: &[ResidualGroup],
     weights: &PairWeights,
     sums: &mut NormalSums,
     patches: &mut [[f32; PATCH]],
 ) {
-    let groups = surface.iter().zip(seen).zip(view).zip(residuals).zip(patches);
-    for ((((surface, seen), view), residual), patch) in groups {
-        let gradient = unclipped(clipped(seen), &view.gradient);
+    let groups = surface.iter().zip(sampled).zip(view).zip(residuals).zip(patches);
+    for ((((surface, sampled), view), residual), patch) in groups {
+        let gradient = unclipped(clipped(sampled), &view.gradient);
         for c in 0..CHANNELS {
             let [left, right, pair] = pair_weights(residual, weights, c);
             let (ll, rr) = (left + pair, right + pair);
-            let in_left = derivatives(surface, &seen[0], &gradient[c], 0);
-            let in_right = derivatives(surface, &seen[1], &gradient[c], 1);
+            let in_left = derivatives(surface, &sampled[0], &gradient[c], 0);
+            let in_right = derivatives(surface, &sampled[1], &gradient[c], 1);
             let (r_left, r_right) = (residual.residual[0][c], residual.residual[1][c]);
             let value = view.value[c];
             let weighted = [ll * r_left - pair * r_right, rr * r_right - pair * r_left];

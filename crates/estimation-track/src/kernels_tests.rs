@@ -83,9 +83,9 @@ fn every_unknown_moves_the_pixel_as_its_derivative_says() {
     let (camera, scene, plane) = (camera(), Scene::new(), Vector3::new(0.3, -0.2, 2.1));
     let group = scene.group(&plane);
     let lens = lens_at(&camera, (0..LANES).map(|i| pose() * scene.point(i, &plane)));
-    let mut seen = vec![[SeenGroup::default(); 2]];
-    project(Kernels::best(), &[group], &[lens], &rows(&pose()), 0.0, &mut seen, 1);
-    assert_eq!(seen[0][1].valid.sum(), LANES as f32);
+    let mut sampled = vec![[SampledGroup::default(); 2]];
+    project(Kernels::best(), &[group], &[lens], &rows(&pose()), 0.0, &mut sampled, 1);
+    assert_eq!(sampled[0][1].valid.sum(), LANES as f32);
     for i in 0..LANES {
         let pixel_at = |unknown: usize, by: f64| {
             let (mut xi, mut plane, mut row) = (Vector6::zeros(), plane, 0.0);
@@ -98,14 +98,14 @@ fn every_unknown_moves_the_pixel_as_its_derivative_says() {
             camera.project(&point).unwrap() + Vector2::new(0.0, row)
         };
         let centre = pixel_at(0, 0.0);
-        assert!((f64::from(seen[0][1].pixel[0].0[i]) - centre.x).abs() < 2e-3);
-        assert!((f64::from(seen[0][1].pixel[1].0[i]) - centre.y).abs() < 2e-3);
+        assert!((f64::from(sampled[0][1].pixel[0].0[i]) - centre.x).abs() < 2e-3);
+        assert!((f64::from(sampled[0][1].pixel[1].0[i]) - centre.y).abs() < 2e-3);
         for axis in 0..2 {
             // The gradient along the surface of an image whose value is this coordinate of the pixel.
-            let by = &seen[0][1].by_point[3 * axis..3 * axis + 3];
+            let by = &sampled[0][1].by_point[3 * axis..3 * axis + 3];
             let gradient = [0, 1]
                 .map(|k| by[0] * group.base[3 * k] + by[1] * group.base[3 * k + 1] + by[2] * group.base[3 * k + 2]);
-            let derivative = derivatives(&group, &seen[0][1], &gradient, 1);
+            let derivative = derivatives(&group, &sampled[0][1], &gradient, 1);
             for (unknown, derivative) in derivative.iter().enumerate() {
                 const STEP: f64 = 1e-6;
                 let numeric = (pixel_at(unknown, STEP) - pixel_at(unknown, -STEP))[axis] / (2.0 * STEP);
@@ -118,28 +118,28 @@ fn every_unknown_moves_the_pixel_as_its_derivative_says() {
 }
 
 /// Views and images of noise, so that no term is zero.
-fn noisy_groups(count: usize) -> (Vec<SurfaceGroup>, Vec<[SeenGroup; 2]>, Vec<ViewGroup>) {
+fn noisy_groups(count: usize) -> (Vec<SurfaceGroup>, Vec<[SampledGroup; 2]>, Vec<ViewGroup>) {
     let value = |seed: usize| {
         Lanes(std::array::from_fn(|i| SplitMix64::new((seed * LANES + i) as u64).between(-100.0, 100.0) as f32))
     };
     let (scene, plane) = (Scene::new(), Vector3::new(0.3, -0.2, 2.1));
     let surface = vec![scene.group(&plane); count];
     let lens = vec![lens_at(&camera(), (0..LANES).map(|i| pose() * scene.point(i, &plane))); count];
-    let mut seen = vec![[SeenGroup::default(); 2]; count];
+    let mut sampled = vec![[SampledGroup::default(); 2]; count];
     for side in 0..2 {
-        project(Kernels::best(), &surface, &lens, &rows(&pose()), 0.3, &mut seen, side);
+        project(Kernels::best(), &surface, &lens, &rows(&pose()), 0.3, &mut sampled, side);
     }
     let mut view = vec![ViewGroup { valid: Lanes::splat(1.0), ..ViewGroup::default() }; count];
-    for (g, (seen, view)) in seen.iter_mut().zip(&mut view).enumerate() {
+    for (g, (sampled, view)) in sampled.iter_mut().zip(&mut view).enumerate() {
         for c in 0..CHANNELS {
             view.value[c] = value(97 * g + c);
             view.gradient[c] = [value(97 * g + 10 + c).scale(0.1), value(97 * g + 20 + c).scale(0.1)];
-            for (side, seen) in seen.iter_mut().enumerate() {
-                seen.value[c] = view.value[c] + value(97 * g + 30 + 5 * side + c).scale(0.05);
+            for (side, sampled) in sampled.iter_mut().enumerate() {
+                sampled.value[c] = view.value[c] + value(97 * g + 30 + 5 * side + c).scale(0.05);
             }
         }
     }
-    (surface, seen, view)
+    (surface, sampled, view)
 }
 
 fn photometry() -> Photometry {
@@ -152,15 +152,15 @@ fn photometry() -> Photometry {
 
 #[test]
 fn every_kernel_set_gives_the_same_bits() {
-    let (surface, seen, view) = noisy_groups(3);
+    let (surface, sampled, view) = noisy_groups(3);
     let outcome = |kernels: Kernels| {
         let mut residuals = vec![ResidualGroup::default(); 3];
-        let sums = weigh(kernels, &seen, &view, &photometry(), &mut residuals);
+        let sums = weigh(kernels, &sampled, &view, &photometry(), &mut residuals);
         let weights = PairWeights::of(&photometry().variance);
         let (mut normal, mut patches) = (NormalSums::default(), vec![[0.0; PATCH]; 3]);
-        accumulate(kernels, &surface, &seen, &view, &residuals, &weights, &mut normal, &mut patches);
+        accumulate(kernels, &surface, &sampled, &view, &residuals, &weights, &mut normal, &mut patches);
         let mut scores = vec![GroupScore::default(); 3];
-        score(kernels, &surface, &seen, &view, &residuals, &weights, &mut scores);
+        score(kernels, &surface, &sampled, &view, &residuals, &weights, &mut scores);
         format!("{sums:?} {normal:?} {patches:?} {scores:?}")
     };
     let plain = outcome(Kernels::of(pb3dp_estimation_core::cpu::KernelSet::Scalar).unwrap());
@@ -172,16 +172,16 @@ fn every_kernel_set_gives_the_same_bits() {
 /// The sums of all groups equal the sum over each group.
 #[test]
 fn scores_of_groups_add_up_to_the_normal_equations() {
-    let (surface, seen, view) = noisy_groups(4);
+    let (surface, sampled, view) = noisy_groups(4);
     let kernels = Kernels::best();
     let mut residuals = vec![ResidualGroup::default(); 4];
-    let sums = weigh(kernels, &seen, &view, &photometry(), &mut residuals);
+    let sums = weigh(kernels, &sampled, &view, &photometry(), &mut residuals);
     assert!(sums.weights[0] > 10.0 && sums.weights[2] > 10.0, "{sums:?}");
     let weights = PairWeights::of(&photometry().variance);
     let (mut normal, mut patches) = (NormalSums::default(), vec![[0.0; PATCH]; 4]);
-    accumulate(kernels, &surface, &seen, &view, &residuals, &weights, &mut normal, &mut patches);
+    accumulate(kernels, &surface, &sampled, &view, &residuals, &weights, &mut normal, &mut patches);
     let mut scores = vec![GroupScore::default(); 4];
-    score(kernels, &surface, &seen, &view, &residuals, &weights, &mut scores);
+    score(kernels, &surface, &sampled, &view, &residuals, &weights, &mut scores);
     let close = |a: f32, b: f32| (a - b).abs() <= 2e-3 * a.abs().max(b.abs()).max(1.0);
     for i in 0..UNKNOWNS {
         let whole = normal.slope[i].sum();

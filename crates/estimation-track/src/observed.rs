@@ -5,7 +5,7 @@
 
 use nalgebra::{Matrix6, Vector6};
 
-use super::kernels::{CHANNELS, PairWeights, ResidualGroup, SeenGroup, SurfaceGroup, TERMS, derivatives};
+use super::kernels::{CHANNELS, PairWeights, ResidualGroup, SampledGroup, SurfaceGroup, TERMS, derivatives};
 use super::lanes::Lanes;
 use pb3dp_estimation_core::wide::wide;
 
@@ -27,25 +27,25 @@ const RATIO_MIN: f64 = 3.0;
 wide! {
     /// Upper triangle of the information about the motion that a gradient of variance 1 in both directions of the view gives, with these
     /// weights of the three differences.
-    pub(super) fn noise_information(surface: &[SurfaceGroup], seen: &[[SeenGroup; 2]], residuals: &[ResidualGroup], weights: &[f32; TERMS]) -> [f32; TRIANGLE] = noise_kernel;
+    pub(super) fn noise_information(surface: &[SurfaceGroup], sampled: &[[SampledGroup; 2]], residuals: &[ResidualGroup], weights: &[f32; TERMS]) -> [f32; TRIANGLE] = noise_kernel;
 }
 
 #[inline(always)]
 fn noise_kernel(
     surface: &[SurfaceGroup],
-    seen: &[[SeenGroup; 2]],
+    sampled: &[[SampledGroup; 2]],
     residuals: &[ResidualGroup],
     weights: &[f32; TERMS],
 ) -> [f32; TRIANGLE] {
     let mut sums = [Lanes::ZERO; TRIANGLE];
     let along = [[Lanes::splat(1.0), Lanes::ZERO], [Lanes::ZERO, Lanes::splat(1.0)]];
-    for ((surface, seen), residual) in surface.iter().zip(seen).zip(residuals) {
+    for ((surface, sampled), residual) in surface.iter().zip(sampled).zip(residuals) {
         let pair = residual.weight[2].scale(weights[2]);
         let left = residual.weight[0].scale(weights[0]) + pair;
         let right = residual.weight[1].scale(weights[1]) + pair;
         for gradient in &along {
-            let in_left = derivatives(surface, &seen[0], gradient, 0);
-            let in_right = derivatives(surface, &seen[1], gradient, 1);
+            let in_left = derivatives(surface, &sampled[0], gradient, 0);
+            let in_right = derivatives(surface, &sampled[1], gradient, 1);
             let mut entry = 0;
             for i in 0..MOTION {
                 let by_left = left * in_left[i] - pair * in_right[i];

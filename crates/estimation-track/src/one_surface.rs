@@ -6,7 +6,7 @@ use pb3dp_estimation_core::region::RegionMask;
 use pb3dp_estimation_core::wide::LANES;
 
 use super::judge::FITS_FROM;
-use super::kernels::{CHANNELS, ResidualGroup, SeenGroup, SurfaceGroup, ViewGroup};
+use super::kernels::{CHANNELS, ResidualGroup, SampledGroup, SurfaceGroup, ViewGroup};
 use super::relief::Relief;
 use super::shape::Shape;
 use super::surface::Surface;
@@ -55,7 +55,7 @@ pub(super) struct Pair<'a> {
     /// The stored view: the left image.
     pub(super) view: &'a [ViewGroup],
     /// Both images.
-    pub(super) seen: &'a [[SeenGroup; 2]],
+    pub(super) sampled: &'a [[SampledGroup; 2]],
     /// Their differences from the view.
     pub(super) residuals: &'a [ResidualGroup],
 }
@@ -77,7 +77,7 @@ struct Node {
 
 impl Node {
     #[allow(clippy::needless_range_loop, reason = "channels index several arrays")]
-    fn add(&mut self, group: &SurfaceGroup, view: &ViewGroup, right: &SeenGroup, residual: &ResidualGroup) {
+    fn add(&mut self, group: &SurfaceGroup, view: &ViewGroup, right: &SampledGroup, residual: &ResidualGroup) {
         let shown = group.mask * view.valid * right.valid;
         let points = || (0..LANES).filter(|&i| shown.0[i] > 0.0);
         let count = (points().count() as f64).max(1.0);
@@ -132,7 +132,7 @@ fn lies_off_its_plane(surface: &Surface, pair: Pair<'_>, from_px: f64) -> bool {
     plane_through(nodes.iter()).is_some_and(|plane| lies_off_plane(nodes.iter(), &plane, &surface.relief, from_px))
 }
 
-fn nodes_of(surface: &Surface, Pair { view, seen, residuals }: Pair<'_>) -> Vec<Node> {
+fn nodes_of(surface: &Surface, Pair { view, sampled, residuals }: Pair<'_>) -> Vec<Node> {
     let Surface { relief, shape, levels, .. } = surface;
     let mut nodes = vec![Node::default(); shape.mean.len()];
     let common = shape.common_plane();
@@ -140,7 +140,7 @@ fn nodes_of(surface: &Surface, Pair { view, seen, residuals }: Pair<'_>) -> Vec<
         let beyond = shape.beyond(index, &common) * relief.inverse_depth_per_px();
         node.position = ray / (surface.plane.dot(ray) + beyond).max(1e-3);
     }
-    let groups = levels[0].groups.iter().zip(view).zip(seen).zip(residuals).zip(relief.node_of_group());
+    let groups = levels[0].groups.iter().zip(view).zip(sampled).zip(residuals).zip(relief.node_of_group());
     for ((((group, view), [_, right]), residual), &node) in groups {
         nodes[node].add(group, view, right, residual);
     }

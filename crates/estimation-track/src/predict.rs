@@ -102,7 +102,7 @@ impl Motion {
     }
 
     /// As [`Self::between_exposures`] for the pair whose left image shows this pose: its own motion is known better than it was foreseen.
-    pub(super) fn between_seen_exposures(
+    pub(super) fn between_tracked_exposures(
         &self,
         found: &Pose<CamLeft, Model>,
         prior: &FramePrior,
@@ -210,7 +210,7 @@ mod tests {
             let at = pose().translation_m() + Vector3::new(0.05, 0.03, -0.02) * (1.5 * t).sin();
             Pose::<World, Model>::from_parts(at, turn * pose().rotation())
         };
-        let seen_at = |t: f64| camera_at(t).inverse() * target_at(t);
+        let pose_at = |t: f64| camera_at(t).inverse() * target_at(t);
         let (dt, skew_s) = (1.0 / 30.0, 0.005);
         let prior_at = |t: f64| FramePrior {
             dt_s: Some(dt),
@@ -218,15 +218,15 @@ mod tests {
             skew_s,
             ..FramePrior::default()
         };
-        let mut motion = Motion::resting(seen_at(0.0));
+        let mut motion = Motion::resting(pose_at(0.0));
         for frame in 1..3 {
             let t = f64::from(frame) * dt;
-            motion.learn(&seen_at(t), &prior_at(t));
+            motion.learn(&pose_at(t), &prior_at(t));
         }
         let expected = motion.expect(&prior_at(3.0 * dt));
         let found = motion.between_exposures(&expected, &prior_at(3.0 * dt));
-        let truth = seen_at(3.0 * dt + skew_s) * seen_at(3.0 * dt).inverse();
-        let point = Point3::from(seen_at(3.0 * dt).translation_m());
+        let truth = pose_at(3.0 * dt + skew_s) * pose_at(3.0 * dt).inverse();
+        let point = Point3::from(pose_at(3.0 * dt).translation_m());
         let [shift, whole] = [found, truth].map(|motion| motion.transform_point(&point) - point);
         // 0.5 mm; without the change of the velocity 1 % of it would be missing.
         assert!(whole.norm() > 3e-4 && (shift - whole).norm() < 3e-3 * whole.norm(), "{shift} {whole}");

@@ -206,13 +206,13 @@ mod tests {
     #[test]
     fn a_target_with_a_twin_is_believed_only_where_it_is_expected() {
         let clear = fit(0.97, 0.95);
-        let seen = |way_m| Sighting { has_twin: true, ..sighting(&clear, way_m, 0.0, 0.1) };
-        assert!(seen(0.01).can_be_the_target() && !seen(0.1).can_be_the_target());
-        assert!(seen(0.1).is_another() && !seen(0.01).is_another());
+        let sighting_at = |way_m| Sighting { has_twin: true, ..sighting(&clear, way_m, 0.0, 0.1) };
+        assert!(sighting_at(0.01).can_be_the_target() && !sighting_at(0.1).can_be_the_target());
+        assert!(sighting_at(0.1).is_another() && !sighting_at(0.01).is_another());
     }
 
     #[test]
-    fn smooth_texture_is_not_told_from_other_smooth_texture() {
+    fn smooth_texture_is_not_distinguished_from_other_smooth_texture() {
         for independent in [2.0, 8.0, 13.0] {
             assert!(!can_be(&fit(0.94, 0.75), independent, 0.1, 0.3, 0.2), "{independent}");
         }

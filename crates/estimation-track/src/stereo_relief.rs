@@ -76,11 +76,11 @@ fn choose(aligner: &mut Aligner, problem: &mut Problem<'_>, estimate: &Estimate,
                 continue;
             }
             let weight = if level == 0 { 1.0 } else { 2.0 };
-            let groups = aligner.seen[level].iter().zip(&problem.view.levels[level]);
-            for ((seen, view), patch_of_lane) in groups.zip(patch_of_lane[level].chunks_exact(LANES)) {
+            let groups = aligner.sampled[level].iter().zip(&problem.view.levels[level]);
+            for ((sampled, view), patch_of_lane) in groups.zip(patch_of_lane[level].chunks_exact(LANES)) {
                 for (i, &patch) in patch_of_lane.iter().enumerate() {
-                    if patch < patches && seen[1].valid.0[i] * view.valid.0[i] > 0.0 {
-                        let (kept, now) = (view.value.map(|v| v.0[i]), seen[1].value.map(|v| v.0[i]));
+                    if patch < patches && sampled[1].valid.0[i] * view.valid.0[i] > 0.0 {
+                        let (kept, now) = (view.value.map(|v| v.0[i]), sampled[1].value.map(|v| v.0[i]));
                         correlations[patch][index].add(weight, kept, now);
                     }
                 }

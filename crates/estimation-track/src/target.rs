@@ -200,8 +200,8 @@ impl Target {
     }
 
     fn first_pair(&self) -> Pair<'_> {
-        let Aligner { seen, residuals, .. } = &self.aligner;
-        Pair { view: &self.views[0].levels[0], seen: &seen[0], residuals }
+        let Aligner { sampled, residuals, .. } = &self.aligner;
+        Pair { view: &self.views[0].levels[0], sampled: &sampled[0], residuals }
     }
 
     /// Whether the surface of the first pair is curved.
@@ -359,9 +359,9 @@ impl Target {
     fn judge(&mut self) {
         let view = &self.views[self.view].levels[0];
         let points = self.surface.points() as f64;
-        let Aligner { seen, residuals, .. } = &self.aligner;
+        let Aligner { sampled, residuals, .. } = &self.aligner;
         let correlations = self.aligner.correlate(view);
-        self.fit = Fit::measure(&seen[0], view, residuals, &correlations, points, &self.reference);
+        self.fit = Fit::measure(&sampled[0], view, residuals, &correlations, points, &self.reference);
     }
 
     /// Computes the covariance of the pose; if the frame `learns`, adds its information to the surface and corrects the pose.
@@ -440,7 +440,7 @@ impl Target {
     /// Whether so much of the left image is saturated that a view of it would lack many points.
     fn is_overexposed(&self) -> bool {
         let (mut clipped, mut valid) = (0.0, 0.0);
-        for [left, _] in &self.aligner.seen[0] {
+        for [left, _] in &self.aligner.sampled[0] {
             valid += left.valid.sum();
             clipped += (0..LANES).filter(|&i| left.valid.0[i] > 0.0 && left.clipped.0[i] > 0.0).count() as f32;
         }
@@ -461,7 +461,7 @@ impl Target {
         for level in 0..LEVELS {
             self.aligner.project_left(&mut self.surface, level, frame.rig, &pose);
             let fitting = (only_fitting && level == 0).then_some(self.aligner.residuals.as_slice());
-            self.views[index].take_level(level, &frame.images[0], &self.aligner.seen[level], fitting);
+            self.views[index].take_level(level, &frame.images[0], &self.aligner.sampled[level], fitting);
         }
         self.views[index].cam_left_from_model = pose;
         self.views[index].last_used = self.frame;

@@ -182,9 +182,9 @@ impl DirectTracker {
                 self.rig_at_rest = rig_at_rest;
                 expected = Expected { pose, coasted: pose };
             }
-            if let Some(seen) = target.see_motion(&expected, &self.frame(), prior, may_continue) {
-                unforeseen = Some(motion.inverse() * seen);
-                self.rig_at_rest = self.rig.with_motion_between_exposures(&seen);
+            if let Some(new_motion) = target.see_motion(&expected, &self.frame(), prior, may_continue) {
+                unforeseen = Some(motion.inverse() * new_motion);
+                self.rig_at_rest = self.rig.with_motion_between_exposures(&new_motion);
             }
             let frame = self.frame();
             ending = target.follow(&expected, step_s, &frame, may_continue);
@@ -348,7 +348,7 @@ impl EstimationMethod for DirectTracker {
         Ok(())
     }
 
-    fn wants_region(&self) -> bool {
+    fn needs_new_region(&self) -> bool {
         self.target.is_none()
     }
 

@@ -5,7 +5,7 @@ use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Model};
 
 use super::images::{CameraImages, LEVELS, texel_at};
-use super::kernels::{ResidualGroup, SeenGroup, ViewGroup};
+use super::kernels::{ResidualGroup, SampledGroup, ViewGroup};
 
 /// The surface's channels in the left image of one frame.
 #[derive(Clone, Debug)]
@@ -37,21 +37,21 @@ impl View {
         turned.hypot(scaled)
     }
 
-    /// Stores one level from the left image; `seen` are the groups projected with this view's pose. Points that do not fit (if
+    /// Stores one level from the left image; `sampled` are the groups projected with this view's pose. Points that do not fit (if
     /// residuals are given) are occluded, possibly by the target itself, and excluded.
     pub(super) fn take_level(
         &mut self,
         level: usize,
         left: &CameraImages,
-        seen: &[[SeenGroup; 2]],
+        sampled: &[[SampledGroup; 2]],
         residuals: Option<&[ResidualGroup]>,
     ) {
         let step = (1_u32 << level) as f32;
-        for (index, (view, seen)) in self.levels[level].iter_mut().zip(seen).enumerate() {
+        for (index, (view, sampled)) in self.levels[level].iter_mut().zip(sampled).enumerate() {
             *view = ViewGroup::default();
             let fits = |i: usize| residuals.is_none_or(|groups| groups[index].weight[0].0[i] > 0.0);
-            for i in (0..LANES).filter(|&i| seen[0].valid.0[i] > 0.0 && fits(i)) {
-                let pixel = seen[0].pixel.map(|x| x.0[i]);
+            for i in (0..LANES).filter(|&i| sampled[0].valid.0[i] > 0.0 && fits(i)) {
+                let pixel = sampled[0].pixel.map(|x| x.0[i]);
                 let at = |du: f32, dv: f32| texel_at(left, level, [pixel[0] + du, pixel[1] + dv]);
                 let samples = [at(0.0, 0.0), at(step, 0.0), at(-step, 0.0), at(0.0, step), at(0.0, -step)];
                 let [Some(centre), Some(right), Some(left), Some(down), Some(up)] = samples else { continue };
@@ -59,7 +59,7 @@ impl View {
                     continue;
                 }
                 view.valid.0[i] = 1.0;
-                let warp = inverse_2x2(seen[0].unwarp.map(|x| x.0[i]));
+                let warp = inverse_2x2(sampled[0].unwarp.map(|x| x.0[i]));
                 for c in 0..view.value.len() {
                     view.value[c].0[i] = centre[c];
                     let by_u = (right[c] - left[c]) * (0.5 / step);

@@ -148,7 +148,7 @@ impl Estimator {
     /// # Errors
     /// See [`EstimationMethod::estimate`].
     pub fn estimate(&mut self, mut request: EstimateRequest<'_>) -> Result<PlaneEstimate, EstimationError> {
-        if !self.watch.has_seen_whole() {
+        if !self.watch.has_sampled_whole() {
             self.look(request.left, request.right)?;
         }
         let mut estimate = self.inner.answer(&mut request)?;
@@ -274,7 +274,7 @@ pub struct Tracker {
     /// The skew of the pairs that `watch` has seen, seconds.
     watched_skew_s: f64,
     /// Whether a warning has said that the images do not show the rig, since the target was marked.
-    is_told_unchecked: bool,
+    is_warned_unchecked: bool,
     /// The errors of the calibration, if they are known.
     calibration: Option<Box<CalibrationTerm>>,
     /// The first pair of the target, and their share in its pose.
@@ -350,7 +350,7 @@ impl Tracker {
             skew: None,
             is_skew_stated: false,
             watched_skew_s: 0.0,
-            is_told_unchecked: false,
+            is_warned_unchecked: false,
             calibration: None,
             first_pair: None,
             is_restored: false,
@@ -421,7 +421,7 @@ impl Tracker {
             let known = request.target.and_then(|target| target.model);
             self.is_restored =
                 known.is_some_and(|known| estimate.cam_left_from_model == Some(known.cam_left_from_model));
-            (self.steps, self.is_told_unchecked) = (Steps::default(), false);
+            (self.steps, self.is_warned_unchecked) = (Steps::default(), false);
         }
         let has_jumped = self.steps.has_jumped(&estimate, dt_s);
         if is_due && (!shows_rig || self.watch.errors().is_none()) {
@@ -536,8 +536,8 @@ impl Tracker {
             *estimate = self.inner.answer(request)?;
             self.steps = Steps { last: estimate.cam_left_from_model, ..Steps::default() };
         }
-        if self.watch.errors().is_none() && !self.is_told_unchecked {
-            self.is_told_unchecked = true;
+        if self.watch.errors().is_none() && !self.is_warned_unchecked {
+            self.is_warned_unchecked = true;
             estimate.warnings.push(EstimateWarning::RigUnchecked);
         }
         Ok(())
@@ -559,8 +559,8 @@ impl Tracker {
 
     /// Whether the last marked target was rejected and has to be marked again. Always false for the published method, which
     /// retries its region by itself.
-    pub fn wants_region(&self) -> bool {
-        self.inner.wants_region()
+    pub fn needs_new_region(&self) -> bool {
+        self.inner.needs_new_region()
     }
 
     /// The recovered surface of the target in `model`, see [`EstimationMethod::surface`].

@@ -19,7 +19,7 @@ const OFFSET_MAX_PX: f64 = 1.5;
 const OFFSET_MAX_RAD: f64 = 2e-3;
 /// Row offset above which a warning names the correction, and above which a change between two looks is a knock, as a share of the limit.
 /// Chosen by hand, not varied.
-const TOLD_SHARE: f64 = 0.5;
+const REPORTED_SHARE: f64 = 0.5;
 /// Squared distance in standard deviations from which two looks differ (chi-squared with five degrees of freedom: once in 100 000 looks).
 const CHANGED_FROM: f64 = 30.0;
 /// Looks that must agree until a change is the cameras' and not that of some pairs. Chosen by hand, not varied: images that were not taken at
@@ -51,7 +51,7 @@ pub struct RigWatch {
     corrected: StereoRig,
     has_moved: bool,
     /// Whether a whole image has shown the rig, and not a target alone.
-    has_seen_whole: bool,
+    has_sampled_whole: bool,
     /// What the newest looks show instead of `measured`, and their number.
     other: Option<(RigErrors, u32)>,
     /// Looks that agree with `measured`, without a break.
@@ -80,7 +80,7 @@ impl RigWatch {
             errors: nothing.unseen(),
             corrected: *rig,
             has_moved: false,
-            has_seen_whole: false,
+            has_sampled_whole: false,
             other: None,
             agreeing: 0,
             is_knocked: false,
@@ -107,7 +107,7 @@ impl RigWatch {
         self.wide_looks = self.wide_looks.saturating_sub(1);
         let measured = self.meter.measure(left, right, (!is_wide).then_some(&self.measured))?;
         if is_enough(&measured) {
-            self.has_seen_whole = true;
+            self.has_sampled_whole = true;
             self.take(&measured);
         }
         if self.are_rectified.is_none() && (self.looks == 0 || self.contradicts()) {
@@ -187,7 +187,7 @@ impl RigWatch {
     /// Whether two looks cannot have seen the same rig.
     fn differ(&self, before: &RigErrors, after: &RigErrors) -> bool {
         let change = change(before, after);
-        change.significance() > CHANGED_FROM && self.share_of_limit(&change, SURE_SIGMAS) > TOLD_SHARE
+        change.significance() > CHANGED_FROM && self.share_of_limit(&change, SURE_SIGMAS) > REPORTED_SHARE
     }
 
     /// Whether the next pair should be looked at as well.
@@ -206,8 +206,8 @@ impl RigWatch {
     }
 
     /// Whether a whole image has shown the rig, and not a target alone.
-    pub fn has_seen_whole(&self) -> bool {
-        self.has_seen_whole
+    pub fn has_sampled_whole(&self) -> bool {
+        self.has_sampled_whole
     }
 
     /// The rig as its images show it.
@@ -228,8 +228,8 @@ impl RigWatch {
 
     /// What was corrected, if it is worth a warning.
     pub fn warning(&self) -> Option<EstimateWarning> {
-        let is_told = self.share_of_limit(&self.errors, SURE_SIGMAS) > TOLD_SHARE;
-        (is_told && self.objection().is_none()).then(|| EstimateWarning::RowsOff {
+        let is_reported = self.share_of_limit(&self.errors, SURE_SIGMAS) > REPORTED_SHARE;
+        (is_reported && self.objection().is_none()).then(|| EstimateWarning::RowsOff {
             offset_max_px: self.meter.largest_px(&self.errors),
             errors: text(&self.meter, &self.errors),
         })

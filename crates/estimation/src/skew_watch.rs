@@ -57,7 +57,7 @@ pub struct Skew {
 
 /// A tracked pair.
 #[derive(Clone, Copy, Debug)]
-struct Seen {
+struct Observed {
     at_s: f64,
     /// Column and row of the target in the rectified left image, tangents.
     place: Vector2<f64>,
@@ -86,7 +86,7 @@ struct Sample {
 pub struct SkewWatch {
     meter: RowMeter,
     at_s: f64,
-    newest: VecDeque<Seen>,
+    newest: VecDeque<Observed>,
     samples: Vec<Sample>,
     pairs: usize,
     /// Error of the depth and of the tilt per second of skew, metres and radians per second, and the larger of both in standard deviations.
@@ -94,7 +94,7 @@ pub struct SkewWatch {
     /// The same at the newest pair.
     newest_cost: Option<[f64; 3]>,
     /// The skew that was told.
-    told: Option<Skew>,
+    reported: Option<Skew>,
 }
 
 impl SkewWatch {
@@ -111,7 +111,7 @@ impl SkewWatch {
             pairs: 0,
             costs: Vec::new(),
             newest_cost: None,
-            told: None,
+            reported: None,
         })
     }
 
@@ -150,7 +150,15 @@ impl SkewWatch {
             |index: usize| estimate.covariance.map_or(0.0, |covariance| covariance[(index, index)].max(0.0).sqrt());
         let sigmas = [sigma(2), sigma(3).hypot(sigma(4))];
         let place = self.meter.left_ray(&pose.translation_m());
-        self.newest.push_back(Seen { at_s: self.at_s, place, assumed_s, rows, depth_m, turn: pose.rotation(), sigmas });
+        self.newest.push_back(Observed {
+            at_s: self.at_s,
+            place,
+            assumed_s,
+            rows,
+            depth_m,
+            turn: pose.rotation(),
+            sigmas,
+        });
         self.note_cost();
         self.note_rows();
     }
@@ -179,10 +187,10 @@ impl SkewWatch {
 
     fn note_rows(&mut self) {
         let Some(middle) = self.newest.len().checked_sub(2).filter(|middle| *middle > 0) else { return };
-        let (Some((speed, _)), Some(seen)) = (self.speed(middle), self.newest.get(middle)) else { return };
-        let (at_s, place, Some(rows)) = (seen.at_s, seen.place, seen.rows) else { return };
-        let acceleration = acceleration(self.newest.iter().map(|seen| (seen.at_s - at_s, seen.place.y)));
-        let assumed_s = seen.assumed_s;
+        let (Some((speed, _)), Some(observed)) = (self.speed(middle), self.newest.get(middle)) else { return };
+        let (at_s, place, Some(rows)) = (observed.at_s, observed.place, observed.rows) else { return };
+        let acceleration = acceleration(self.newest.iter().map(|observed| (observed.at_s - at_s, observed.place.y)));
+        let assumed_s = observed.assumed_s;
         self.samples.push(Sample {
             place,
             speed: speed.y,
@@ -233,21 +241,21 @@ impl SkewWatch {
     /// one costs at its speed.
     pub fn news(&mut self) -> Option<EstimateWarning> {
         let Some(found) = self.found() else { return self.warning(self.newest_cost?) };
-        if self.told.is_some_and(|told| found.sigma_s > 0.5 * told.sigma_s) {
+        if self.reported.is_some_and(|reported| found.sigma_s > 0.5 * reported.sigma_s) {
             return None;
         }
-        self.told = Some(found);
+        self.reported = Some(found);
         Some(EstimateWarning::Skewed { skew_ms: 1e3 * found.skew_s, sigma_ms: 1e3 * found.sigma_s })
     }
 
     /// That the motion contradicts the skew that is stated, once.
     pub fn contradiction(&mut self, stated_s: f64) -> Option<EstimateWarning> {
         let Skew { skew_s, sigma_s } =
-            self.skew().filter(|skew| self.told.is_none() && skew.sigma_s <= DETERMINED_S)?;
+            self.skew().filter(|skew| self.reported.is_none() && skew.sigma_s <= DETERMINED_S)?;
         if (skew_s - stated_s).abs() <= f64::max(CONTRADICTS_SIGMAS * sigma_s, CONTRADICTS_S) {
             return None;
         }
-        self.told = Some(Skew { skew_s, sigma_s });
+        self.reported = Some(Skew { skew_s, sigma_s });
         let [stated_ms, skew_ms, sigma_ms] = [stated_s, skew_s, sigma_s].map(|time_s| 1e3 * time_s);
         Some(EstimateWarning::SkewContradicted { stated_ms, skew_ms, sigma_ms })
     }

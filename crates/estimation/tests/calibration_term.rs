@@ -29,8 +29,8 @@ fn answers(rig: &StereoRig, pairs: &[(RgbImage, RgbImage)], region: &Region) -> 
     let mut tracker = Tracker::new(Method::Direct, rig, &EstimatorConfig::default()).expect("a tracker");
     let answer = |(frame, (left, right)): (usize, &(RgbImage, RgbImage))| {
         let request = match frame {
-            0 => EstimateRequest::of_target(left, right, region, &SEARCH),
-            _ => EstimateRequest::of_next(left, right, &FramePrior::default()),
+            0 => EstimateRequest::new_target(left, right, region, &SEARCH),
+            _ => EstimateRequest::next_frame(left, right, &FramePrior::default()),
         };
         tracker.estimate(request).expect("an answer").cam_left_from_model.expect("a pose")
     };

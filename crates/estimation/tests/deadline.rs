@@ -35,7 +35,9 @@ fn after(method: Method, pair: &Pair, steps: usize) -> PlaneEstimate {
         may
     };
     estimator
-        .estimate(EstimateRequest::of_target(&pair.left, &pair.right, &region(pair), &range()).until(&mut may_continue))
+        .estimate(
+            EstimateRequest::new_target(&pair.left, &pair.right, &region(pair), &range()).until(&mut may_continue),
+        )
         .unwrap()
 }
 
@@ -52,7 +54,7 @@ fn a_deadline_gives_the_best_answer_so_far() {
         assert!(!whole.warnings.contains(&EstimateWarning::CutShort));
         let mut estimator = Estimator::new(method, &pair.rig, &EstimatorConfig::default()).unwrap();
         assert_eq!(
-            estimator.estimate(EstimateRequest::of_target(&pair.left, &pair.right, &region(&pair), &range())).unwrap(),
+            estimator.estimate(EstimateRequest::new_target(&pair.left, &pair.right, &region(&pair), &range())).unwrap(),
             whole
         );
         for steps in [0, 1, 3] {
@@ -83,10 +85,10 @@ fn tracking_within_a_deadline_gives_a_pose_or_says_lost() {
     let (first, second) = (pair(0.53), pair(0.531));
     for method in [Method::Direct, Method::Published] {
         let mut tracker = Tracker::new(method, &first.rig, &EstimatorConfig::default()).unwrap();
-        tracker.estimate(EstimateRequest::of_target(&first.left, &first.right, &region(&first), &range())).unwrap();
+        tracker.estimate(EstimateRequest::new_target(&first.left, &first.right, &region(&first), &range())).unwrap();
         let cut = tracker
             .estimate(
-                EstimateRequest::of_next(&second.left, &second.right, &FramePrior::default()).until(&mut || false),
+                EstimateRequest::next_frame(&second.left, &second.right, &FramePrior::default()).until(&mut || false),
             )
             .unwrap();
         assert!(cut.reason.contains("cut short") && !cut.reason.contains("inf "), "{method}: {}", cut.reason);
@@ -95,7 +97,7 @@ fn tracking_within_a_deadline_gives_a_pose_or_says_lost() {
         let vouches = cut.covariance.is_some() || cut.status == Status::Ok;
         assert!(method == Method::Published || !vouches, "{}", cut.reason);
         let whole =
-            tracker.estimate(EstimateRequest::of_next(&second.left, &second.right, &FramePrior::default())).unwrap();
+            tracker.estimate(EstimateRequest::next_frame(&second.left, &second.right, &FramePrior::default())).unwrap();
         assert!(whole.cam_left_from_model.is_some() && !whole.reason.contains("cut short"), "{method}: {whole:?}");
     }
 }

@@ -27,7 +27,7 @@ fn region_of(mask: &RegionMask) -> Region {
 
 fn estimate(rig: &StereoRig, left: &RgbImage, right: &RgbImage, region: &Region) -> PlaneEstimate {
     let mut estimator = DirectEstimator::new(rig, DirectConfig::default()).unwrap();
-    estimator.estimate(EstimateRequest::of_target(left, right, region, &range())).unwrap()
+    estimator.estimate(EstimateRequest::new_target(left, right, region, &range())).unwrap()
 }
 
 fn check(rig: &StereoRig, scene: &Scene) {
@@ -87,9 +87,9 @@ fn the_same_pair_gives_the_same_answer_after_another() {
     let mut estimator = DirectEstimator::new(&rig, DirectConfig::default()).unwrap();
     let region = Region::Rectangle { x: 300, y: 190, width: 100, height: 90 };
     let other = Region::Rectangle { x: 100, y: 60, width: 400, height: 330 };
-    let first = estimator.estimate(EstimateRequest::of_target(&left, &right, &region, &range())).unwrap();
-    estimator.estimate(EstimateRequest::of_target(&left, &right, &other, &range())).unwrap();
-    assert_eq!(estimator.estimate(EstimateRequest::of_target(&left, &right, &region, &range())).unwrap(), first);
+    let first = estimator.estimate(EstimateRequest::new_target(&left, &right, &region, &range())).unwrap();
+    estimator.estimate(EstimateRequest::new_target(&left, &right, &other, &range())).unwrap();
+    assert_eq!(estimator.estimate(EstimateRequest::new_target(&left, &right, &region, &range())).unwrap(), first);
 }
 
 /// A target at the end of the range may be beyond it.
@@ -103,7 +103,7 @@ fn an_answer_at_the_end_of_the_range_is_ambiguous() {
     let found = |z_max_m: f64| {
         let mut estimator = DirectEstimator::new(&rig, DirectConfig::default()).unwrap();
         estimator
-            .estimate(EstimateRequest::of_target(
+            .estimate(EstimateRequest::new_target(
                 &left,
                 &right,
                 &region,
@@ -130,7 +130,7 @@ fn warnings_tell_of_the_region_and_of_tilts_beyond_the_range() {
     let warnings = |tilt_max_rad: f64| {
         let mut estimator = DirectEstimator::new(&rig, DirectConfig::default()).unwrap();
         let range = SearchRange::new(0.35, 0.8, tilt_max_rad).unwrap();
-        let found = estimator.estimate(EstimateRequest::of_target(&left, &right, &region, &range)).unwrap();
+        let found = estimator.estimate(EstimateRequest::new_target(&left, &right, &region, &range)).unwrap();
         let texts: Vec<String> = found.warnings.iter().map(ToString::to_string).collect();
         assert!(texts.iter().any(|text| text.contains("of the region polygon cross")), "{texts:?}");
         texts.iter().any(|text| text.contains("beyond the 23 degrees"))
@@ -151,7 +151,7 @@ fn a_direction_that_a_pair_does_not_determine_is_named_and_not_ok() {
         config.cold_start.refine.calibration_sigma_px = calibration_sigma_px;
         config.verdict.normal_sigma_max_deg = normal_sigma_max_deg;
         let mut estimator = DirectEstimator::new(&rig, config).unwrap();
-        estimator.estimate(EstimateRequest::of_target(&left, &right, &region, &range())).unwrap()
+        estimator.estimate(EstimateRequest::new_target(&left, &right, &region, &range())).unwrap()
     };
     let tilted = found(0.3, 0.5);
     assert_eq!(tilted.status, Status::WeakTilt, "{}", tilted.reason);

@@ -25,16 +25,16 @@ fn a_later_estimate_asks_for_the_words_of_its_answer_only() {
     };
     let regions = [around(30.0), around(60.0), around(130.0)];
     let mut estimator = DirectEstimator::new(&pair.rig, DirectConfig::default()).unwrap();
-    let first = regions
-        .each_ref()
-        .map(|region| estimator.estimate(EstimateRequest::of_target(&pair.left, &pair.right, region, &range)).unwrap());
+    let first = regions.each_ref().map(|region| {
+        estimator.estimate(EstimateRequest::new_target(&pair.left, &pair.right, region, &range)).unwrap()
+    });
     assert!(first.iter().any(|estimate| estimate.status == Status::Ok), "{:?}", first.each_ref().map(|e| &e.reason));
     for region in &regions {
-        estimator.estimate(EstimateRequest::of_target(&pair.left, &pair.right, region, &range)).unwrap();
+        estimator.estimate(EstimateRequest::new_target(&pair.left, &pair.right, region, &range)).unwrap();
     }
     for (region, first) in regions.iter().zip(&first) {
         let before = pb3dp_allocation_count::bytes();
-        let second = estimator.estimate(EstimateRequest::of_target(&pair.left, &pair.right, region, &range)).unwrap();
+        let second = estimator.estimate(EstimateRequest::new_target(&pair.left, &pair.right, region, &range)).unwrap();
         let bytes = pb3dp_allocation_count::bytes() - before;
         assert!(bytes < WORDS_MAX, "{bytes} bytes: {}", second.reason);
         assert_eq!(first, &second);

@@ -21,7 +21,7 @@ const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
 fn estimate(rig: &StereoRig, (left, right): (&RgbImage, &RgbImage), region: &Region, range: [f64; 3]) -> PlaneEstimate {
     let mut estimator = DirectEstimator::new(rig, DirectConfig::default()).unwrap();
     let range = SearchRange::new(range[0], range[1], range[2].to_radians()).unwrap();
-    estimator.estimate(EstimateRequest::of_target(left, right, region, &range)).unwrap()
+    estimator.estimate(EstimateRequest::new_target(left, right, region, &range)).unwrap()
 }
 
 /// A smooth texture without symmetry.
@@ -64,7 +64,7 @@ fn of_a_curved_surface_the_plane_of_least_squares_is_given_as_ambiguous() {
     assert!(found.warnings.contains(&EstimateWarning::NoPlane), "{:?}", found.warnings);
     let mut tracker = DirectTracker::new(&rig, DirectConfig::default(), DirectTrackerConfig::default()).unwrap();
     let range = SearchRange::new(0.4, 0.7, 60_f64.to_radians()).unwrap();
-    let started = tracker.estimate(EstimateRequest::of_target(&left, &right, &region, &range)).unwrap();
+    let started = tracker.estimate(EstimateRequest::new_target(&left, &right, &region, &range)).unwrap();
     assert_eq!(started.status, Status::Ok, "{}", started.reason);
 }
 
@@ -80,18 +80,18 @@ fn a_surface_outside_the_range_is_not_tracked() {
     let started = |z_min_m: f64, z_max_m: f64| {
         let mut tracker = DirectTracker::new(&rig, DirectConfig::default(), DirectTrackerConfig::default()).unwrap();
         let range = SearchRange::new(z_min_m, z_max_m, 60_f64.to_radians()).unwrap();
-        tracker.estimate(EstimateRequest::of_target(&left, &right, &region, &range)).unwrap()
+        tracker.estimate(EstimateRequest::new_target(&left, &right, &region, &range)).unwrap()
     };
     let held = started(0.35, 0.8);
     assert_eq!(held.status, Status::Ok, "{}", held.reason);
-    let mut told = 0;
+    let mut reported = 0;
     for gap in [0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1] {
         for missed in [started(0.35, 0.5 * (1.0 - gap)), started(0.5 * (1.0 + gap), 0.8)] {
             assert!(!missed.status.depth_is_sure(), "{gap}: {} {}", missed.status, missed.reason);
-            told += usize::from(missed.reason.contains("the fitted surface is"));
+            reported += usize::from(missed.reason.contains("the fitted surface is"));
         }
     }
-    assert!(told > 0, "no relief has reached the target");
+    assert!(reported > 0, "no relief has reached the target");
 }
 
 /// A target that covers less than half of the region, in front of a farther surface and behind a nearer one.
@@ -292,7 +292,7 @@ fn the_width_of_an_edge_is_not_taken_for_a_sure_slope() {
             let range = SearchRange::new(depth(150.0), depth(90.0), 1.0).unwrap();
             for (config, wrong) in [aware.clone(), unaware.clone()].into_iter().zip(&mut wrong) {
                 let mut estimator = DirectEstimator::new(&rig, config).unwrap();
-                let found = estimator.estimate(EstimateRequest::of_target(&left, &right, &region, &range)).unwrap();
+                let found = estimator.estimate(EstimateRequest::new_target(&left, &right, &region, &range)).unwrap();
                 let (Some(pose), Some(sigma_rad)) = (found.pose, found.normal_sigma_rad) else { continue };
                 let off_rad = pose.normal_in_cam_left.angle(&-nalgebra::Vector3::z());
                 *wrong += u32::from(off_rad > 1.25 * sigma_rad);
@@ -304,7 +304,7 @@ fn the_width_of_an_edge_is_not_taken_for_a_sure_slope() {
 
 /// Vertical misalignment is corrected and told; beyond a limit the calibration cannot be trusted.
 #[test]
-fn rows_that_no_calibrated_rig_has_are_told() {
+fn row_errors_that_no_calibrated_rig_has_are_reported() {
     let rig = scene::rectified_rig(SIZE);
     let scene =
         Scene { centre_px: Vector2::new(352.0, 236.0), z_m: 0.5, theta_x_rad: 0.2, theta_y_rad: -0.3, noise: 3.0 };
@@ -314,15 +314,17 @@ fn rows_that_no_calibrated_rig_has_are_told() {
     let region = Region::Rectangle { x: 312, y: 196, width: 80, height: 80 };
     let range = SearchRange::new(0.35, 0.8, 1.0).unwrap();
     let meter = RowMeter::new(&rig, Kernels::best()).unwrap();
-    for (rows, status, is_told) in [(0, Status::Ok, false), (1, Status::Ok, true), (4, Status::Miscalibrated, false)] {
+    for (rows, status, is_reported) in
+        [(0, Status::Ok, false), (1, Status::Ok, true), (4, Status::Miscalibrated, false)]
+    {
         let right = lowered(rows);
         let measured = meter.measure(&left, &right, None).unwrap();
         assert!((meter.centre_px(&measured) - f64::from(rows)).abs() < 0.1, "{measured:?}");
         let mut estimator = Estimator::new(Method::Direct, &rig, &EstimatorConfig::default()).unwrap();
-        let found = estimator.estimate(EstimateRequest::of_target(&left, &right, &region, &range)).unwrap();
+        let found = estimator.estimate(EstimateRequest::new_target(&left, &right, &region, &range)).unwrap();
         assert_eq!(found.status, status, "{}", found.reason);
-        let told = found.warnings.iter().any(|warning| matches!(warning, EstimateWarning::RowsOff { .. }));
-        assert_eq!(told, is_told, "{rows}: {:?}", found.warnings);
+        let reported = found.warnings.iter().any(|warning| matches!(warning, EstimateWarning::RowsOff { .. }));
+        assert_eq!(reported, is_reported, "{rows}: {:?}", found.warnings);
     }
 }
 
@@ -402,7 +404,7 @@ fn a_surface_that_is_mostly_flat_is_not_taken_for_a_curved_one() {
         let mut config = DirectConfig::default();
         config.cold_start.choice.continued_support_max = support_max;
         let mut estimator = DirectEstimator::new(&rig, config).unwrap();
-        let found = estimator.estimate(EstimateRequest::of_target(&left, &right, &region, &range)).unwrap();
+        let found = estimator.estimate(EstimateRequest::new_target(&left, &right, &region, &range)).unwrap();
         found.pose.unwrap().normal_in_cam_left.angle(&-nalgebra::Vector3::z()).to_degrees()
     };
     let choice = DirectConfig::default().cold_start.choice;

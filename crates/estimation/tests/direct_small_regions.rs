@@ -21,7 +21,7 @@ fn both(scene: &Scene, region: &Region, range: &SearchRange) -> [PlaneEstimate; 
         let mut config = DirectConfig::default();
         config.cold_start.surroundings_px = surroundings_px;
         let mut estimator = DirectEstimator::new(&rig, config).unwrap();
-        estimator.estimate(EstimateRequest::of_target(&left, &right, region, range)).unwrap()
+        estimator.estimate(EstimateRequest::new_target(&left, &right, region, range)).unwrap()
     })
 }
 

@@ -38,7 +38,7 @@ impl Run {
         let shot = Shot { cam_left_from_target: pose, frame: self.frame, right_gain: 0.9 };
         let (left, right) = render(&self.rig, &shot);
         let prior = FramePrior { dt_s: Some(dt_s), ..FramePrior::default() };
-        self.tracker.estimate(EstimateRequest::of_next(&left, &right, &prior)).expect("update")
+        self.tracker.estimate(EstimateRequest::next_frame(&left, &right, &prior)).expect("update")
     }
 
     /// Position error (mm) and angular error (degrees).
@@ -102,7 +102,7 @@ fn steps_of_the_shared_exposure_keep_a_moving_target() {
             continue;
         };
         let prior = FramePrior { dt_s: Some(1.0 / 30.0), ..FramePrior::default() };
-        let estimate = tracker.estimate(EstimateRequest::of_next(&left, &right, &prior)).expect("update");
+        let estimate = tracker.estimate(EstimateRequest::next_frame(&left, &right, &prior)).expect("update");
         assert_eq!(estimate.status, Status::Ok, "frame {frame}: {}", estimate.reason);
         let (found, truth) = (estimate.cam_left_from_model.expect("a pose"), pose * *target_from_model);
         let distance_mm = 1e3 * (found.translation_m() - truth.translation_m()).norm();
@@ -144,7 +144,7 @@ fn one_camera_without_colours_is_followed_by_luminance() {
         for frame in 1..6 {
             let (pose, [left, right]) = shot(frame);
             let prior = FramePrior { dt_s: Some(1.0 / 30.0), ..FramePrior::default() };
-            let found = tracker.estimate(EstimateRequest::of_next(&left, &right, &prior)).expect("update");
+            let found = tracker.estimate(EstimateRequest::next_frame(&left, &right, &prior)).expect("update");
             assert_eq!(found.status, Status::Ok, "side {grey_side}, frame {frame}: {}", found.reason);
             let off = (pose * target_from_model).inverse() * found.cam_left_from_model.expect("a pose");
             assert!(off.translation_m().norm() < 1e-3 && off.rotation_angle_rad() < 0.02, "{off:?}");
@@ -219,7 +219,7 @@ fn a_frozen_eye_is_no_evidence() {
             }
             let prior = FramePrior { dt_s: Some(1.0 / 30.0), ..FramePrior::default() };
             let estimate =
-                run.tracker.estimate(EstimateRequest::of_next(&images[0], &images[1], &prior)).expect("update");
+                run.tracker.estimate(EstimateRequest::next_frame(&images[0], &images[1], &prior)).expect("update");
             if is_frozen {
                 assert_eq!(estimate.status, Status::Lost, "camera {frozen_camera}, frame {frame}");
                 let name = ["left", "right"][frozen_camera];
@@ -250,7 +250,7 @@ fn a_tilt_that_is_foretold_mirrored_is_set_right() {
         let shot = Shot { cam_left_from_target: Some(pose), frame: run.frame, right_gain: 0.9 };
         let (left, right) = render(&run.rig, &shot);
         let prior = FramePrior { cam_left_from_model: Some(mirrored), ..FramePrior::default() };
-        let estimate = run.tracker.estimate(EstimateRequest::of_next(&left, &right, &prior)).expect("update");
+        let estimate = run.tracker.estimate(EstimateRequest::next_frame(&left, &right, &prior)).expect("update");
         assert_eq!(estimate.status, Status::Ok, "{turn:?}: {}", estimate.reason);
         let (distance_mm, angle_deg) = run.error(&estimate, &pose);
         assert!(distance_mm < 1.0 && angle_deg < 1.0, "{turn:?}: {distance_mm} mm, {angle_deg} degrees");
@@ -292,12 +292,12 @@ fn a_cold_start_needs_no_plane() {
         DirectTracker::new(&rig, DirectConfig::default(), DirectTrackerConfig::default()).expect("tracker");
     let (left, right) = render(&rig, &Shot { cam_left_from_target: Some(first), frame: 0, right_gain: 0.9 });
     assert!(
-        tracker.estimate(EstimateRequest::of_next(&left, &right, &FramePrior::default())).is_err(),
+        tracker.estimate(EstimateRequest::next_frame(&left, &right, &FramePrior::default())).is_err(),
         "no target yet"
     );
     let range = SearchRange::new(0.35, 0.7, 0.7).expect("range");
     let estimate =
-        tracker.estimate(EstimateRequest::of_target(&left, &right, &region(&rig, &first), &range)).expect("start");
+        tracker.estimate(EstimateRequest::new_target(&left, &right, &region(&rig, &first), &range)).expect("start");
     assert_eq!(estimate.status, Status::Ok, "{}", estimate.reason);
     let found = estimate.cam_left_from_model.expect("pose");
     let normal = found.rotation() * Vector3::z();
@@ -332,7 +332,7 @@ fn a_start_beyond_the_tilt_that_was_searched_says_so() {
             DirectTracker::new(&rig, DirectConfig::default(), DirectTrackerConfig::default()).expect("tracker");
         let range = SearchRange::new(0.35, 0.7, tilt_max_rad).expect("range");
         tracker
-            .estimate(EstimateRequest::of_target(&left, &right, &region(&rig, &first), &range))
+            .estimate(EstimateRequest::new_target(&left, &right, &region(&rig, &first), &range))
             .expect("start")
             .warnings
     };
@@ -355,7 +355,7 @@ fn a_deadline_gives_the_best_answer_so_far() {
     };
     run.tracker
         .follow_into(
-            &mut EstimateRequest::of_next(&left, &right, &FramePrior::default()).until(&mut over),
+            &mut EstimateRequest::next_frame(&left, &right, &FramePrior::default()).until(&mut over),
             &mut estimate,
         )
         .expect("update");
@@ -379,10 +379,10 @@ fn a_blank_wall_is_no_target() {
     };
     let region = region(&rig, &moving(0.0));
     let range = SearchRange::new(0.35, 0.7, 0.7).expect("range");
-    let estimate = tracker.estimate(EstimateRequest::of_target(&blank(1), &blank(2), &region, &range)).expect("start");
+    let estimate = tracker.estimate(EstimateRequest::new_target(&blank(1), &blank(2), &region, &range)).expect("start");
     assert!(!estimate.status.depth_is_sure() && estimate.cam_left_from_model.is_none(), "{}", estimate.reason);
     let next =
-        tracker.estimate(EstimateRequest::of_next(&blank(3), &blank(4), &FramePrior::default())).expect("update");
+        tracker.estimate(EstimateRequest::next_frame(&blank(3), &blank(4), &FramePrior::default())).expect("update");
     assert!(next.status == Status::NotObservable && next.cam_left_from_model.is_none() && !next.reason.is_empty());
 }
 

@@ -37,7 +37,7 @@ fn track(centre_px: [f64; 2], side_px: u32) -> (u32, u32) {
         let prior = FramePrior { dt_s: Some(1.0 / FPS), ..FramePrior::default() };
         let estimate = match frame {
             0 => tracker.start_from_plane(&left, &right, &region, &plane(&discs[0])).expect("start"),
-            _ => tracker.estimate(EstimateRequest::of_next(&left, &right, &prior)).expect("update"),
+            _ => tracker.estimate(EstimateRequest::next_frame(&left, &right, &prior)).expect("update"),
         };
         let Some(pose) = estimate.cam_left_from_model.map(|pose| *pose.isometry()) else { continue };
         if first.is_none() {

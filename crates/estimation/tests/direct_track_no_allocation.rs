@@ -20,13 +20,14 @@ fn frames_do_not_allocate() {
     let frames: Vec<_> =
         (1..20).map(|frame| shot((frame % 10 < 8).then(|| moving(f64::from(frame) / 15.0)), frame)).collect();
     let prior = FramePrior::default();
-    let mut estimate = tracker.estimate(EstimateRequest::of_next(&frames[0].0, &frames[0].1, &prior)).expect("update");
+    let mut estimate =
+        tracker.estimate(EstimateRequest::next_frame(&frames[0].0, &frames[0].1, &prior)).expect("update");
     // The first lost frame has the longest reason and the largest windows.
     estimate.reason.reserve(400);
     let mut counts = Vec::with_capacity(frames.len());
     for (left, right) in &frames[1..] {
         let before = pb3dp_allocation_count::requests();
-        tracker.follow_into(&mut EstimateRequest::of_next(left, right, &prior), &mut estimate).expect("update");
+        tracker.follow_into(&mut EstimateRequest::next_frame(left, right, &prior), &mut estimate).expect("update");
         counts.push((estimate.status, pb3dp_allocation_count::requests() - before));
     }
     assert!(counts.iter().any(|(status, _)| *status == Status::Ok));

@@ -59,7 +59,7 @@ fn a_prior_that_cannot_be_true_costs_at_most_its_frame() {
         };
         let estimate = match frame {
             0 => tracker.start_from_plane(&left, &right, &region(&rig, &truth), &plane(&truth)).expect("start"),
-            _ => tracker.estimate(EstimateRequest::of_next(&left, &right, &prior)).expect("update"),
+            _ => tracker.estimate(EstimateRequest::next_frame(&left, &right, &prior)).expect("update"),
         };
         if frame % 3 != 2 {
             assert_eq!(estimate.status, Status::Ok, "frame {frame}, after an absurd one: {}", estimate.reason);

@@ -40,8 +40,8 @@ fn errors_mm(skew_s: f64, known_s: f64) -> Vec<[f64; 2]> {
         let prior = FramePrior { dt_s: Some(1.0 / FPS), ..FramePrior::of_skew(known_s) };
         let region = region(&rig, &moving(t_s));
         let mut request = match frame {
-            0 => EstimateRequest::of_target(&left, &right, &region, &range).with_skew(known_s),
-            _ => EstimateRequest::of_next(&left, &right, &prior),
+            0 => EstimateRequest::new_target(&left, &right, &region, &range).with_skew(known_s),
+            _ => EstimateRequest::next_frame(&left, &right, &prior),
         };
         let estimate = tracker.answer(&mut request).expect("valid images");
         assert_eq!(estimate.status, Status::Ok, "frame {frame}: {}", estimate.reason);
@@ -98,8 +98,8 @@ fn follow(taken_by: &StereoRig, skew_s: f64, stated_s: f64) -> (Tracker, Vec<Tra
         let region = Region::Rectangle { x, y, width: 72, height: 72 };
         let prior = FramePrior { dt_s: Some(1.0 / FPS), ..FramePrior::of_skew(stated_s) };
         let request = match frame {
-            0 => EstimateRequest::of_target(&left, &right, &region, &range).with_skew(stated_s),
-            _ => EstimateRequest::of_next(&left, &right, &prior),
+            0 => EstimateRequest::new_target(&left, &right, &region, &range).with_skew(stated_s),
+            _ => EstimateRequest::next_frame(&left, &right, &prior),
         };
         tracker.estimate(request).expect("valid images")
     });
@@ -129,8 +129,8 @@ fn a_skew_that_nobody_has_stated_is_found_in_the_rows() {
         let doubts: Vec<bool> = estimates.iter().map(|estimate| has_warning(estimate, is_doubt)).collect();
         let known_from = doubts.iter().rposition(|is_doubt| *is_doubt).map_or(0, |last| last + 1);
         assert!((2..10).contains(&known_from) && doubts[2..known_from].iter().all(|is_doubt| *is_doubt), "{doubts:?}");
-        let is_told = estimates[known_from..].iter().any(|estimate| has_warning(estimate, is_finding));
-        assert_eq!(is_told, skew_s != 0.0, "{skew_s} s");
+        let is_reported = estimates[known_from..].iter().any(|estimate| has_warning(estimate, is_finding));
+        assert_eq!(is_reported, skew_s != 0.0, "{skew_s} s");
     }
 }
 
@@ -139,10 +139,10 @@ fn a_skew_that_nobody_has_stated_is_found_in_the_rows() {
 fn a_stated_skew_that_the_motion_contradicts_is_named() {
     for (stated_s, contradicts) in [(-1.5e-3, true), (8e-3, false)] {
         let (tracker, estimates) = follow(&rectified_rig(), 8e-3, stated_s);
-        let seen = tracker.skew().and_then(SkewWatch::skew);
+        let found_skew = tracker.skew().and_then(SkewWatch::skew);
         let mut warnings = estimates.iter().flat_map(|estimate| &estimate.warnings);
-        let is_told = warnings.any(|warning| matches!(warning, EstimateWarning::SkewContradicted { .. }));
-        assert_eq!(is_told, contradicts, "{stated_s}: {seen:?}");
+        let is_reported = warnings.any(|warning| matches!(warning, EstimateWarning::SkewContradicted { .. }));
+        assert_eq!(is_reported, contradicts, "{stated_s}: {found_skew:?}");
     }
 }
 
@@ -198,8 +198,8 @@ fn turn_deg(stated_millis: f64) -> [f64; 2] {
         .map(|frame| {
             let (left, right) = shot(f64::from(frame) / FPS, frame);
             let request = match frame {
-                0 => EstimateRequest::of_target(&left, &right, &region, &range),
-                _ => EstimateRequest::of_next(&left, &right, &prior),
+                0 => EstimateRequest::new_target(&left, &right, &region, &range),
+                _ => EstimateRequest::next_frame(&left, &right, &prior),
             };
             tracker.estimate(request).expect("valid images")
         })

@@ -48,15 +48,15 @@ fn answers(rig: &StereoRig, region: &Region, pairs: &[[ImageView<'_>; 2]]) -> Ve
     for method in Method::ALL {
         let mut estimator = Estimator::new(method, rig, &EstimatorConfig::default()).unwrap();
         answers.push(format!("{method} {:?}", estimator.look(left, right)));
-        answers.push(format!("{:?}", estimator.estimate(EstimateRequest::of_target(left, right, region, &range))));
+        answers.push(format!("{:?}", estimator.estimate(EstimateRequest::new_target(left, right, region, &range))));
         let mut tracker = Tracker::new(method, rig, &EstimatorConfig::default()).unwrap();
-        answers.push(format!("{:?}", tracker.estimate(EstimateRequest::of_target(left, right, region, &range))));
+        answers.push(format!("{:?}", tracker.estimate(EstimateRequest::new_target(left, right, region, &range))));
         for [left, right] in &pairs[1..] {
             let prior = FramePrior { dt_s: Some(1.0 / 30.0), ..FramePrior::default() };
-            answers.push(format!("{:?}", tracker.estimate(EstimateRequest::of_next(*left, *right, &prior))));
+            answers.push(format!("{:?}", tracker.estimate(EstimateRequest::next_frame(*left, *right, &prior))));
         }
         // An image that is repeated, beside a new one.
-        let stuck = EstimateRequest::of_next(pairs[1][0], pairs[FRAMES as usize - 1][1], &FramePrior::default());
+        let stuck = EstimateRequest::next_frame(pairs[1][0], pairs[FRAMES as usize - 1][1], &FramePrior::default());
         answers.push(format!("{:?}", tracker.estimate(stuck)));
     }
     answers

@@ -34,7 +34,7 @@ fn statuses(
         .map(|frame| {
             let (left, right) = render_all(&rig, &discs(frame.into()), &shot(frame));
             let prior = FramePrior { dt_s: Some(1.0 / 30.0), ..FramePrior::default() };
-            let estimate = tracker.estimate(EstimateRequest::of_next(&left, &right, &prior)).expect("update");
+            let estimate = tracker.estimate(EstimateRequest::next_frame(&left, &right, &prior)).expect("update");
             if estimate.status == Status::Ok {
                 let error =
                     (own(frame.into()) * target_from_model).inverse() * estimate.cam_left_from_model.expect("a pose");

@@ -65,7 +65,7 @@ fn track(target: &Repeating, positions: &[Vector2<f64>]) -> Counts {
         let prior = FramePrior { dt_s: Some(1.0 / FPS), ..FramePrior::default() };
         let estimate = match frame {
             0 => tracker.start_from_plane(&left, &right, &region, &plane(&truth)).expect("start"),
-            _ => tracker.estimate(EstimateRequest::of_next(&left, &right, &prior)).expect("update"),
+            _ => tracker.estimate(EstimateRequest::next_frame(&left, &right, &prior)).expect("update"),
         };
         let Some(found) = estimate.cam_left_from_model else { continue };
         let fixed = *target_from_model.get_or_insert(truth.inverse() * found);

@@ -31,15 +31,15 @@ fn a_target_that_is_marked_again_has_its_model_from_before() {
         let (left, right) = images(frame);
         tracker
             .estimate(match marked {
-                Some((region, model)) => EstimateRequest::of_target(&left, &right, region, &range).with_model(model),
-                None => EstimateRequest::of_next(&left, &right, &prior),
+                Some((region, model)) => EstimateRequest::new_target(&left, &right, region, &range).with_model(model),
+                None => EstimateRequest::next_frame(&left, &right, &prior),
             })
             .expect("valid images")
     };
     let first = estimate(0, Some((&region(&rig, &moving(0.0)), None)));
-    let seen: Vec<TrackEstimate> = (1..=8).map(|frame| estimate(frame, None)).collect();
+    let estimates: Vec<TrackEstimate> = (1..=8).map(|frame| estimate(frame, None)).collect();
     let known = KnownModel {
-        cam_left_from_model: seen[6].cam_left_from_model.expect("a pose"),
+        cam_left_from_model: estimates[6].cam_left_from_model.expect("a pose"),
         first_pose_covariance: first.first_pose_covariance.expect("a covariance"),
     };
     // A part of the target: its own model would have another origin.
@@ -53,7 +53,7 @@ fn a_target_that_is_marked_again_has_its_model_from_before() {
     assert_eq!(again.cam_left_from_model, Some(known.cam_left_from_model));
     assert_eq!(again.first_pose_covariance, Some(known.first_pose_covariance));
     let next = estimate(8, None);
-    let [one, other] = [&next, &seen[7]].map(|estimate| estimate.cam_left_from_model.expect("a pose"));
+    let [one, other] = [&next, &estimates[7]].map(|estimate| estimate.cam_left_from_model.expect("a pose"));
     let apart = one.inverse() * other;
     assert!(apart.translation_m().norm() < 2e-4 && apart.rotation_angle_rad() < 4e-3, "{apart:?}");
     assert_eq!(next.first_pose_covariance, Some(known.first_pose_covariance));
@@ -76,7 +76,7 @@ fn the_first_pose_is_no_more_certain_than_the_plane_that_defines_it() {
     let range = SearchRange { z_min_m: 0.3, z_max_m: 0.7, tilt_max_rad: 0.8 };
     let shot = Shot { cam_left_from_target: Some(moving(0.0)), frame: 0, right_gain: 1.0 };
     let ((left, right), region) = (render(&rig, &shot), region(&rig, &moving(0.0)));
-    let request = || EstimateRequest::of_target(&left, &right, &region, &range);
+    let request = || EstimateRequest::new_target(&left, &right, &region, &range);
     let mut estimator = Estimator::new(Method::Direct, &rig, &EstimatorConfig::default()).expect("estimator");
     let alone = estimator.estimate(request()).expect("valid images").plane_covariance.expect("a covariance");
     let mut tracker = Tracker::new(Method::Direct, &rig, &EstimatorConfig::default()).expect("tracker");
@@ -100,8 +100,8 @@ fn tracked(term: Option<CalibrationTerm>, skew_s: f64) -> Vec<TrackEstimate> {
         let region = region(&rig, &moving(t_s));
         tracker
             .estimate(match frame {
-                0 => EstimateRequest::of_target(&left, &right, &region, &range).with_skew(skew_s),
-                _ => EstimateRequest::of_next(&left, &right, &prior),
+                0 => EstimateRequest::new_target(&left, &right, &region, &range).with_skew(skew_s),
+                _ => EstimateRequest::next_frame(&left, &right, &prior),
             })
             .expect("valid images")
     };

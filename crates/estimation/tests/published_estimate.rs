@@ -32,7 +32,7 @@ fn polygon(rig: &StereoRig) -> Region {
 fn estimate(rig: &StereoRig, look: Look, config: PublishedConfig) -> PlaneEstimate {
     let Shot { left, right } = common::render(rig, Some(&pose()), look);
     let mut estimator = PublishedEstimator::new(rig, config).expect("a config");
-    estimator.estimate(EstimateRequest::of_target(&left, &right, &polygon(rig), &range())).expect("images that fit")
+    estimator.estimate(EstimateRequest::new_target(&left, &right, &polygon(rig), &range())).expect("images that fit")
 }
 
 /// Checks the depth on the centroid's ray within `z_percent` and the normal within `normal_deg`; no uncertainty is claimed.
@@ -82,7 +82,7 @@ fn distortion_that_is_ignored_spoils_the_answer() {
     let Shot { left, right } = common::render(&rig, Some(&pose()), Look::Colourful);
     let mut blind = PublishedEstimator::new(&rig.undistorted(), PublishedConfig::default()).expect("a config");
     let found =
-        blind.estimate(EstimateRequest::of_target(&left, &right, &polygon(&rig), &range())).expect("images that fit");
+        blind.estimate(EstimateRequest::new_target(&left, &right, &polygon(&rig), &range())).expect("images that fit");
     let right_fitness = estimate(&rig, Look::Colourful, PublishedConfig::default()).fitness.expect("searched");
     assert!(found.fitness.expect("searched") < right_fitness - 0.05, "{found:?}");
 }
@@ -114,8 +114,9 @@ fn a_depth_outside_the_range_is_never_a_sure_answer() {
     let Shot { left, right } = common::render(&rig, Some(&pose()), Look::Colourful);
     let mut estimator = PublishedEstimator::new(&rig, PublishedConfig::default()).expect("a config");
     let wrong = SearchRange::new(0.6, 1.2, 45.0_f64.to_radians()).expect("a range");
-    let found =
-        estimator.estimate(EstimateRequest::of_target(&left, &right, &polygon(&rig), &wrong)).expect("images that fit");
+    let found = estimator
+        .estimate(EstimateRequest::new_target(&left, &right, &polygon(&rig), &wrong))
+        .expect("images that fit");
     assert!(!found.status.depth_is_sure(), "{found:?}");
 }
 
@@ -129,7 +130,7 @@ fn the_smallest_and_the_largest_range_of_tilts_serve() {
         let mut estimator = PublishedEstimator::new(&rig, PublishedConfig::default()).expect("a config");
         let range = SearchRange::new(0.35, 0.65, tilt_max_deg.to_radians()).expect("a range");
         let found =
-            estimator.estimate(EstimateRequest::of_target(&left, &right, &region, &range)).expect("images that fit");
+            estimator.estimate(EstimateRequest::new_target(&left, &right, &region, &range)).expect("images that fit");
         assert!(found.status.depth_is_sure(), "{tilt_max_deg}: {found:?}");
         assert!((found.z_m().expect("a pose") / 0.485 - 1.0).abs() < 0.012, "{tilt_max_deg}: {found:?}");
     }
@@ -145,9 +146,9 @@ fn the_answer_depends_on_the_input_alone() {
         let mut estimator =
             PublishedEstimator::with_kernels(&rig, PublishedConfig::default(), kernels).expect("a config");
         let other = Region::Rectangle { x: 20, y: 30, width: 60, height: 50 };
-        estimator.estimate(EstimateRequest::of_target(&left, &right, &other, &range())).expect("another region first");
+        estimator.estimate(EstimateRequest::new_target(&left, &right, &other, &range())).expect("another region first");
         let again = estimator
-            .estimate(EstimateRequest::of_target(&left, &right, &polygon(&rig), &range()))
+            .estimate(EstimateRequest::new_target(&left, &right, &polygon(&rig), &range()))
             .expect("images that fit");
         assert_eq!(again, first, "{kernels:?}");
     }
@@ -187,7 +188,7 @@ fn what_does_not_fit_is_refused_by_name() {
         Estimator::new(Method::Published, &rig, &EstimatorConfig::default()).expect("the default configuration");
     let outside = Region::Rectangle { x: 400, y: 10, width: 50, height: 50 };
     assert_eq!(
-        estimator.estimate(EstimateRequest::of_target(&left, &right, &outside, &range())),
+        estimator.estimate(EstimateRequest::new_target(&left, &right, &outside, &range())),
         Err(EstimationError::Region(RegionError::OffImage {
             first_px: [400, 10],
             last_px: [449, 59],
@@ -198,14 +199,14 @@ fn what_does_not_fit_is_refused_by_name() {
     let region = Region::Rectangle { x: 100, y: 100, width: 50, height: 50 };
     let small = image::RgbImage::new(160, 120);
     let error =
-        estimator.estimate(EstimateRequest::of_target(&left, &small, &region, &range())).expect_err("another size");
+        estimator.estimate(EstimateRequest::new_target(&left, &small, &region, &range())).expect_err("another size");
     assert!(matches!(error, EstimationError::ImageSize { side: "right", width: 160, .. }), "{error}");
     let error =
-        estimator.estimate(EstimateRequest::of_target(&small, &right, &region, &range())).expect_err("another size");
+        estimator.estimate(EstimateRequest::new_target(&small, &right, &region, &range())).expect_err("another size");
     assert!(matches!(error, EstimationError::ImageSize { side: "left", .. }), "{error}");
     let backwards = SearchRange { z_min_m: 0.6, z_max_m: 0.4, tilt_max_rad: 0.5 };
     let error =
-        estimator.estimate(EstimateRequest::of_target(&left, &right, &region, &backwards)).expect_err("a range");
+        estimator.estimate(EstimateRequest::new_target(&left, &right, &region, &backwards)).expect_err("a range");
     assert!(matches!(error, EstimationError::Parameter { name: "search range z_max_m", .. }), "{error}");
     let mut config = PublishedConfig::default();
     config.observability.resamples = 1;

@@ -30,7 +30,7 @@ fn started(rig: &StereoRig, look: Look) -> (PublishedTracker, TrackEstimate) {
     let Shot { left, right } = common::render(rig, Some(&start_pose()), look);
     let region = Region::Polygon { vertices_px: common::outline_px(rig, &start_pose()) };
     let estimate =
-        tracker.estimate(EstimateRequest::of_target(&left, &right, &region, &range())).expect("images that fit");
+        tracker.estimate(EstimateRequest::new_target(&left, &right, &region, &range())).expect("images that fit");
     (tracker, estimate)
 }
 
@@ -41,7 +41,9 @@ fn follow(
     motion: Option<&Pose<CamLeft, CamLeft>>,
 ) -> TrackEstimate {
     let Shot { left, right } = common::render(rig, target, Look::Colourful);
-    tracker.estimate(EstimateRequest::of_next(&left, &right, &FramePrior::of_motion(motion))).expect("images that fit")
+    tracker
+        .estimate(EstimateRequest::next_frame(&left, &right, &FramePrior::of_motion(motion)))
+        .expect("images that fit")
 }
 
 /// The target point that the tracker uses as the origin, in the frame of `target`.
@@ -73,8 +75,8 @@ fn the_first_frame_defines_the_model() {
     assert!((x.cross(&y) - z).norm() < 1e-12, "right-handed");
     // The origin is at the region's centroid, and the outline is the one given.
     let outline = common::outline_px(&rig, &start_pose());
-    for (given, seen) in outline.iter().zip(&estimate.outline_px) {
-        assert!((given - seen).norm() < 1e-3, "{given} {seen}");
+    for (given, found) in outline.iter().zip(&estimate.outline_px) {
+        assert!((given - found).norm() < 1e-3, "{given} {found}");
     }
     assert!(origin_on(&start_pose(), &estimate).xy().norm() < 0.012, "near the target's middle");
 }
@@ -93,8 +95,8 @@ fn a_moving_target_is_followed_by_every_kind_of_rig() {
             let estimate = follow(&mut tracker, &rig, Some(&target), None);
             assert!(estimate.status.depth_is_sure(), "{step}: {estimate:?}");
             check(&target, origin, &estimate, (6.0, 6.0));
-            for (truth, seen) in common::outline_px(&rig, &target).iter().zip(&estimate.outline_px) {
-                assert!((truth - seen).norm() < 4.0, "{step}: the region is at {seen} instead of {truth}");
+            for (truth, found) in common::outline_px(&rig, &target).iter().zip(&estimate.outline_px) {
+                assert!((truth - found).norm() < 4.0, "{step}: the region is at {found} instead of {truth}");
             }
         }
     }
@@ -169,7 +171,7 @@ fn what_can_not_be_observed_is_tried_again_in_the_next_frame() {
     assert_eq!((first.status, first.cam_left_from_model), (Status::NotObservable, None));
     let Shot { left, right } = common::render(&rig, Some(&start_pose()), Look::Grey);
     let estimate = tracker
-        .estimate(EstimateRequest::of_next(&left, &right, &FramePrior::of_motion(None)))
+        .estimate(EstimateRequest::next_frame(&left, &right, &FramePrior::of_motion(None)))
         .expect("images that fit");
     assert_eq!(estimate.status, Status::NotObservable);
     assert_eq!(estimate.warnings, [], "a warning is reported once");
@@ -178,7 +180,7 @@ fn what_can_not_be_observed_is_tried_again_in_the_next_frame() {
     let mut unused = PublishedTracker::new(&rig, PublishedConfig::default()).expect("a config");
     let Shot { left, right } = common::render(&rig, None, Look::Grey);
     assert_eq!(
-        unused.estimate(EstimateRequest::of_next(&left, &right, &FramePrior::of_motion(None))),
+        unused.estimate(EstimateRequest::next_frame(&left, &right, &FramePrior::of_motion(None))),
         Err(EstimationError::NotStarted)
     );
 }
@@ -193,7 +195,7 @@ fn the_start_tells_why_a_region_may_serve_badly() {
     let Shot { left, right } = common::render(&rig, Some(&start_pose()), Look::Colourful);
     let outside = Region::Rectangle { x: -20, y: 80, width: 200, height: 70 };
     let estimate =
-        tracker.estimate(EstimateRequest::of_target(&left, &right, &outside, &range())).expect("images that fit");
+        tracker.estimate(EstimateRequest::new_target(&left, &right, &outside, &range())).expect("images that fit");
     let warning = RegionWarning::PartlyOffImage { outside_px: 20 * 70, covered_px: 200 * 70 };
     assert_eq!(estimate.warnings, [EstimateWarning::Region(warning)]);
     assert_eq!(follow(&mut tracker, &rig, Some(&start_pose()), None).warnings, []);
@@ -208,10 +210,10 @@ fn a_tracker_by_name_gives_the_same_track() {
     assert_eq!(named.method(), method);
     let Shot { left, right } = common::render(&rig, Some(&start_pose()), Look::Colourful);
     let region = Region::Polygon { vertices_px: common::outline_px(&rig, &start_pose()) };
-    assert_eq!(named.estimate(EstimateRequest::of_target(&left, &right, &region, &range())), Ok(first));
+    assert_eq!(named.estimate(EstimateRequest::new_target(&left, &right, &region, &range())), Ok(first));
     assert_eq!(
-        named.estimate(EstimateRequest::of_next(&left, &right, &FramePrior::default())),
-        tracker.estimate(EstimateRequest::of_next(&left, &right, &FramePrior::of_motion(None)))
+        named.estimate(EstimateRequest::next_frame(&left, &right, &FramePrior::default())),
+        tracker.estimate(EstimateRequest::next_frame(&left, &right, &FramePrior::of_motion(None)))
     );
 }
 

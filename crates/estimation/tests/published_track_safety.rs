@@ -44,7 +44,7 @@ fn outline(rig: &StereoRig, target: &Pose<CamLeft, Model>) -> Region {
 
 fn start(tracker: &mut PublishedTracker, rig: &StereoRig, look: Look, region: &Region) -> TrackEstimate {
     let Shot { left, right } = common::render(rig, Some(&pose(0)), look);
-    tracker.estimate(EstimateRequest::of_target(&left, &right, region, &range())).expect("images that fit")
+    tracker.estimate(EstimateRequest::new_target(&left, &right, region, &range())).expect("images that fit")
 }
 
 fn update(
@@ -54,7 +54,7 @@ fn update(
     look: Look,
 ) -> TrackEstimate {
     let Shot { left, right } = common::render(rig, target, look);
-    tracker.estimate(EstimateRequest::of_next(&left, &right, &FramePrior::of_motion(None))).expect("images that fit")
+    tracker.estimate(EstimateRequest::next_frame(&left, &right, &FramePrior::of_motion(None))).expect("images that fit")
 }
 
 /// Checks that the tracker has dropped the target and does not accept it again.
@@ -142,7 +142,7 @@ fn a_target_found_again_at_another_depth_keeps_its_model_frame() {
     let turned = motion.inverse() * pose(0);
     let Shot { left, right } = common::render(&rig, Some(&turned), Look::Colourful);
     let estimate = tracker
-        .estimate(EstimateRequest::of_next(&left, &right, &FramePrior::of_motion(Some(&motion))))
+        .estimate(EstimateRequest::next_frame(&left, &right, &FramePrior::of_motion(Some(&motion))))
         .expect("images that fit");
     assert!(estimate.status.depth_is_sure(), "{estimate:?}");
     for _ in 0..2 {

@@ -29,7 +29,7 @@ fn target() -> Pose<CamLeft, Model> {
 /// Depth at the centroid and normal in `cam_left`, and the status.
 fn estimate(rig: &StereoRig, shot: &common::Shot, region: &Region) -> (f64, Vector3<f64>, Vector2<f64>, Status) {
     let mut estimator = DirectEstimator::new(rig, DirectConfig::default()).unwrap();
-    let found = estimator.estimate(EstimateRequest::of_target(&shot.left, &shot.right, region, &range())).unwrap();
+    let found = estimator.estimate(EstimateRequest::new_target(&shot.left, &shot.right, region, &range())).unwrap();
     let pose = found.pose.unwrap_or_else(|| panic!("{}", found.reason));
     (pose.z_m, pose.inverse_depth_plane, found.centroid_px, found.status)
 }
@@ -151,7 +151,7 @@ fn at_the_edge(rig: &StereoRig, centre_mm: (f64, f64, f64), depth_m: [f64; 2]) -
     let pixel = rig.left().project(&Point3::from(pose.translation_m())).unwrap();
     let mut estimator = DirectEstimator::new(rig, DirectConfig::default()).unwrap();
     let range = SearchRange::new(depth_m[0], depth_m[1], 0.785).unwrap();
-    let found = estimator.estimate(EstimateRequest::of_target(&shot.left, &shot.right, &region, &range)).unwrap();
+    let found = estimator.estimate(EstimateRequest::new_target(&shot.left, &shot.right, &region, &range)).unwrap();
     let z_m = found.pose.as_ref().unwrap_or_else(|| panic!("{pixel}: {}", found.reason)).z_m;
     (z_m, common::true_depth_m(rig, &pose, &found.centroid_px), found.status, pixel)
 }
@@ -199,7 +199,7 @@ fn a_wrong_roll_of_raw_images_is_measured_corrected_and_not_believed() {
     let measured = estimator.look(&shot.left, &shot.right).unwrap();
     assert!(measured.matches >= 60 && (measured.errors[ROLL] + 0.014).abs() < 1e-3, "{measured:?}");
     let region = outline(&rig);
-    let found = estimator.estimate(EstimateRequest::of_target(&shot.left, &shot.right, &region, &range())).unwrap();
+    let found = estimator.estimate(EstimateRequest::new_target(&shot.left, &shot.right, &region, &range())).unwrap();
     assert_eq!(found.status, Status::Miscalibrated, "{}", found.reason);
     assert!(found.reason.contains("roll -0.8"), "{}", found.reason);
     let z_m = found.pose.as_ref().unwrap_or_else(|| panic!("{}", found.reason)).z_m;
@@ -282,7 +282,7 @@ fn absurd_calibrations_are_refused_or_survived() {
         let region = Region::Rectangle { x: 2, y: 3, width: width.min(90), height: height.min(70) };
         let range = SearchRange::new(0.3, 0.8, 0.7).unwrap();
         // A tiny region is refused; what matters is that the call returns.
-        let _ = estimator.estimate(EstimateRequest::of_target(left, right, &region, &range));
+        let _ = estimator.estimate(EstimateRequest::new_target(left, right, &region, &range));
         if u64::from(width) * u64::from(height) < 30_000 {
             let _ = RowMeter::new(&rig, Kernels::best()).and_then(|meter| meter.measure(left, right, None));
         }

@@ -43,7 +43,7 @@ fn reached_and_planned(paint: Paint, base: &Setup) -> ([[f64; 2]; 2], f64) {
         let mut estimator = DirectEstimator::new(&pair.rig, DirectConfig::default()).unwrap();
         let range = SearchRange::new(0.3, 0.9, 40f64.to_radians()).unwrap();
         let found = estimator
-            .estimate(EstimateRequest::of_target(&pair.left, &pair.right, &Region::Mask(region), &range))
+            .estimate(EstimateRequest::new_target(&pair.left, &pair.right, &Region::Mask(region), &range))
             .unwrap();
         let pose = found.pose.unwrap();
         let ray = pair.rig.left().unproject(&found.centroid_px).unwrap();

@@ -18,7 +18,7 @@ use pb3dp_estimation_test_support::scene;
 use pb3dp_geometry::frames::{CamLeft, CamRight};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig, so3};
 
-use crate::plane_pair::{self, Paint, Plane, SeenPlane, Texture};
+use crate::plane_pair::{self, Paint, Plane, RenderedPlane, Texture};
 
 const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
 
@@ -110,7 +110,7 @@ impl Scene {
     }
 
     /// The grey level on a ray; the disc and the wall are seen from its origin.
-    fn grey(&self, disc: &SeenPlane, wall: Option<&SeenPlane>, ray: &Vector3<f64>) -> f32 {
+    fn grey(&self, disc: &RenderedPlane, wall: Option<&RenderedPlane>, ray: &Vector3<f64>) -> f32 {
         let (x, y) = disc.cut(ray);
         let is_on_disc = x * x + y * y < self.radius_mm * self.radius_mm;
         if let Some([width, height]) = self.fields_mm.filter(|_| is_on_disc) {
@@ -179,7 +179,7 @@ fn first_errors(stated: &StereoRig, scene: &mut Scene, true_rig: &StereoRig) -> 
 
 fn first_error(stated: &StereoRig, scene: &Scene, [left, right]: &[RgbImage; 2]) -> Answer {
     let mut estimator = Estimator::new(Method::Direct, stated, &EstimatorConfig::default()).unwrap();
-    let found = estimator.estimate(EstimateRequest::of_target(left, right, &scene.region, &range())).unwrap();
+    let found = estimator.estimate(EstimateRequest::new_target(left, right, &scene.region, &range())).unwrap();
     let error = found.pose.and_then(|pose| {
         let deg = pose.normal_in_cam_left.angle(&-scene.disc.normal).to_degrees();
         // On the ray of the disc's true centre.
@@ -202,8 +202,8 @@ fn track_errors(stated: &StereoRig, scene: &mut Scene, true_rig: &StereoRig) -> 
     let frames = (0..4).map(|frame| {
         let [left, right] = scene.render(true_rig);
         let request = match frame {
-            0 => EstimateRequest::of_target(&left, &right, &scene.region, &range),
-            _ => EstimateRequest::of_next(&left, &right, &prior),
+            0 => EstimateRequest::new_target(&left, &right, &scene.region, &range),
+            _ => EstimateRequest::next_frame(&left, &right, &prior),
         };
         let found = tracker.estimate(request).unwrap();
         let error = found.cam_left_from_model.zip(found.covariance).map(|(pose, covariance)| {
@@ -311,7 +311,7 @@ fn an_answer_whose_calibration_cannot_be_checked_says_so() {
     let mut estimator = Estimator::new(Method::Direct, &rig, &EstimatorConfig::default()).unwrap();
     let mut warnings = |scene: &Scene| {
         let [left, right] = scene.render(&rig);
-        let found = estimator.estimate(EstimateRequest::of_target(&left, &right, &scene.region, &range())).unwrap();
+        let found = estimator.estimate(EstimateRequest::new_target(&left, &right, &scene.region, &range())).unwrap();
         assert!(found.pose.is_some(), "{}", found.reason);
         found.warnings
     };
@@ -454,12 +454,12 @@ fn a_knock_in_a_sequence_is_named() {
     let (before, after) = (scene.render(&rig), scene.render(&Fault::Roll(0.4).of(&rig)));
     let mut tracker = Tracker::new(Method::Direct, &rig, &EstimatorConfig::default()).unwrap();
     let range = range();
-    let request = EstimateRequest::of_target(&before[0], &before[1], &scene.region, &range);
+    let request = EstimateRequest::new_target(&before[0], &before[1], &scene.region, &range);
     let first = tracker.estimate(request).unwrap();
     assert_eq!(first.status, Status::Ok, "{}", first.reason);
     let prior = FramePrior { dt_s: Some(1.0 / 30.0), ..FramePrior::default() };
     let mut next =
-        |[left, right]: &[RgbImage; 2]| tracker.estimate(EstimateRequest::of_next(left, right, &prior)).unwrap();
+        |[left, right]: &[RgbImage; 2]| tracker.estimate(EstimateRequest::next_frame(left, right, &prior)).unwrap();
     assert_eq!(next(&before).status, Status::Ok);
     let statuses: Vec<(Status, String)> =
         (0..32).map(|_| next(&after)).map(|found| (found.status, found.reason)).collect();

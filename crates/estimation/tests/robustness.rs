@@ -72,7 +72,7 @@ fn most_abuses_reach_the_methods() {
         let method = pb3dp_estimation::estimator::Method::Published;
         let estimator = pb3dp_estimation::estimator::Estimator::new(method, &abuse.rig, &Default::default());
         worked += usize::from(estimator.is_ok_and(|mut e| {
-            e.estimate(pb3dp_estimation::estimator::EstimateRequest::of_target(
+            e.estimate(pb3dp_estimation::estimator::EstimateRequest::new_target(
                 left,
                 right,
                 &abuse.region,

@@ -51,10 +51,10 @@ fn pair() -> [RgbImage; 2] {
         Some(u) => 120.0 + 25.0 * bars.at(u, v),
         None => 150.0 + 3.0 * wall.at(on_wall, v),
     };
-    let photo = |seed: u64, seen: &dyn Fn(f64, f64) -> f64| {
+    let photo = |seed: u64, brightness: &dyn Fn(f64, f64) -> f64| {
         let mut random = SplitMix64::new(seed);
         RgbImage::from_fn(SIZE.width, SIZE.height, |u, v| {
-            let value = seen(f64::from(u), f64::from(v));
+            let value = brightness(f64::from(u), f64::from(v));
             Rgb([0; 3].map(|_: u8| (value + random.normal()).round().clamp(0.0, 255.0) as u8))
         })
     };
@@ -73,7 +73,7 @@ fn the_larger_surface_is_the_target_even_if_its_texture_is_faint() {
     let [left, right] = pair();
     let range = SearchRange::new(0.45, 0.8, 60f64.to_radians()).unwrap();
     let mut estimator = DirectEstimator::new(&rig, DirectConfig::default()).unwrap();
-    let found = estimator.estimate(EstimateRequest::of_target(&left, &right, &REGION, &range)).unwrap();
+    let found = estimator.estimate(EstimateRequest::new_target(&left, &right, &REGION, &range)).unwrap();
     let pose = found.pose.unwrap();
     // From the disparities, by hand: z = f b / (d + c_right - c_left), and the same for the normal.
     let (camera, other) = (rig.left().pinhole(), rig.right().pinhole());

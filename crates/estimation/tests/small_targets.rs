@@ -40,7 +40,7 @@ impl Run {
         self.frame += 1;
         let (left, right) = render_discs(&self.rig, &self.disc, pose.as_slice(), &shot(self.frame));
         let prior = FramePrior { dt_s: Some(INTERVAL_S), ..FramePrior::default() };
-        self.tracker.estimate(EstimateRequest::of_next(&left, &right, &prior)).expect("update")
+        self.tracker.estimate(EstimateRequest::next_frame(&left, &right, &prior)).expect("update")
     }
 
     /// Error of the position, as a share of the distance, and of the rotation, degrees.
@@ -139,7 +139,7 @@ fn a_larger_world_gives_the_same_answers() {
         ];
         for (left, right) in &images[1..] {
             let prior = FramePrior { dt_s: Some(INTERVAL_S), ..FramePrior::default() };
-            answers.push(tracker.estimate(EstimateRequest::of_next(left, right, &prior)).expect("update"));
+            answers.push(tracker.estimate(EstimateRequest::next_frame(left, right, &prior)).expect("update"));
         }
         (scale, answers)
     });

@@ -40,7 +40,7 @@ fn soft_texture_of_another_scene_is_not_taken_for_a_surface() {
         let (left, right) = (soft_image(seed), soft_image(seed + 100));
         for x in [72, 330, 480] {
             let region = Region::Rectangle { x, y: 120 + 20 * seed as i32, width: 40, height: 90 };
-            let found = tracker.estimate(EstimateRequest::of_target(&left, &right, &region, &range)).unwrap();
+            let found = tracker.estimate(EstimateRequest::new_target(&left, &right, &region, &range)).unwrap();
             if found.status == Status::Ok || found.status == Status::WeakTilt {
                 taken.push((seed, x, found.reason));
             }

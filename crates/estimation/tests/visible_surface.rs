@@ -75,7 +75,7 @@ fn surface(rig: &StereoRig, region: &Region, method: Method) -> Vec<VisiblePoint
     let (left, right) = photos(rig);
     let mut estimator = Estimator::new(method, rig, &EstimatorConfig::default()).unwrap();
     let range = SearchRange::new(0.35, 0.75, 0.785).unwrap();
-    estimator.visible_surface(&EstimateRequest::of_target(&left, &right, region, &range)).unwrap()
+    estimator.visible_surface(&EstimateRequest::new_target(&left, &right, region, &range)).unwrap()
 }
 
 /// The disc that the ball covers and as much wall around it.
@@ -135,7 +135,7 @@ fn a_depth_range_without_the_scene_gives_no_surface() {
     let mut estimator = Estimator::new(Method::Direct, &rig, &EstimatorConfig::default()).unwrap();
     let (region, beyond) = (region(&rig), SearchRange::new(1.2, 3.0, 0.785).unwrap());
     for (right, range) in [(&right, beyond), (&left, SearchRange::new(0.35, 0.75, 0.785).unwrap())] {
-        let refused = estimator.visible_surface(&EstimateRequest::of_target(&left, right, &region, &range));
+        let refused = estimator.visible_surface(&EstimateRequest::new_target(&left, right, &region, &range));
         assert!(matches!(refused, Err(EstimationError::NoSurface { .. })), "{refused:?}");
     }
 }

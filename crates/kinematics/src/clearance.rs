@@ -411,7 +411,7 @@ mod tests {
     }
 
     #[test]
-    fn a_shape_that_does_not_enclose_the_arm_is_told_where_it_is_bare() {
+    fn a_shape_that_does_not_enclose_the_arm_is_refused_with_the_uncovered_point() {
         two_arms(|chain, _, _| {
             let bent = chain.joint_frames(&JointVector::from([0.1, 0.9, -0.2, 0.5, 0.3, 0.4, 0.0]));
             let all = |radius_m: f64| {
@@ -494,14 +494,14 @@ mod tests {
                 let [from, to] = [[first, second], [first + first_part * size, second + second_part * size]]
                     .map(|joints| joints.map(|joints| chain.joint_frames(&joints)));
                 let placed = |frames, i: usize| PlacedArm { shape, world_from_base: &places[i], frames };
-                let told = clearance_within(
+                let limited = clearance_within(
                     (&placed(&from[0], 0), &reach_rad),
                     (&placed(&from[1], 1), &reach_rad),
                 );
                 let all = of_all_pairs((&placed(&from[0], 0), &reach_rad), (&placed(&from[1], 1), &reach_rad));
-                assert_eq!(told.distance_m, all);
+                assert_eq!(limited.distance_m, all);
                 let found = clearance(&placed(&to[0], 0), &placed(&to[1], 1));
-                assert!(told.distance_m <= found.distance_m + 1e-12, "{told:?} {found:?}");
+                assert!(limited.distance_m <= found.distance_m + 1e-12, "{limited:?} {found:?}");
             });
         }
 

@@ -76,7 +76,7 @@ fn path_from_base<'a>(robot: &'a Robot, base: &str, tip: &str) -> Result<Vec<&'a
         let Some(joint) = leading_here.next() else {
             return Err(ChainError::Broken { base: base.into(), tip: tip.into(), stopped_at: link.into() });
         };
-        let met_again = path.iter().any(|seen| seen.name == joint.name);
+        let met_again = path.iter().any(|visited| visited.name == joint.name);
         if met_again || leading_here.next().is_some() {
             return Err(ChainError::NotATree { link: link.into(), joint: joint.name.clone() });
         }

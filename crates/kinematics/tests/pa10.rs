@@ -279,7 +279,7 @@ proptest! {
 }
 
 #[test]
-fn poses_are_reached_near_the_start_and_those_out_of_reach_are_told() {
+fn poses_are_reached_near_the_start_and_unreachable_ones_are_reported() {
     let chain = chain(GEN2);
     let damping = Damping::new(0.04, 0.04).unwrap();
     let start_rad = JointVector::from([0.1, 0.8, -0.2, 1.6, 0.3, -0.9, 0.2]);

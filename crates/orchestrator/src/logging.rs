@@ -28,7 +28,7 @@ use crate::progress;
 const WAITING_MAX: usize = 16_384;
 
 /// Longest wait for lines that are not written yet before the program ends at once: an arm may still move.
-const LAST_WORDS_MAX: Duration = Duration::from_millis(500);
+const FINAL_FLUSH_MAX: Duration = Duration::from_millis(500);
 
 /// The same at the usual end of the program: on a busy machine their thread runs late.
 const END_MAX: Duration = Duration::from_secs(3);
@@ -56,7 +56,7 @@ impl FormatTime for WallTime {
     }
 }
 
-/// The log of the program. Its drop at the end calls [`last_words`].
+/// The log of the program. Its drop at the end calls [`final_flush`].
 #[derive(Debug)]
 pub struct Log(());
 
@@ -164,8 +164,8 @@ fn is_mistaken_level(part: &str) -> bool {
 }
 
 /// Waits briefly for lines that are not written yet, before the program ends at once.
-pub fn last_words() {
-    wait_for_lines(LAST_WORDS_MAX);
+pub fn final_flush() {
+    wait_for_lines(FINAL_FLUSH_MAX);
 }
 
 fn wait_for_lines(longest: Duration) {

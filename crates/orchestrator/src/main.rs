@@ -8,7 +8,7 @@ use pb3dp_orchestrator::cli::{Cli, Command};
 use pb3dp_orchestrator::{commands, logging, panics};
 
 const PROGRAM: pb3dp_commissioning::Program =
-    pb3dp_commissioning::Program { commit: pb3dp_orchestrator::COMMIT, last_words: logging::last_words };
+    pb3dp_commissioning::Program { commit: pb3dp_orchestrator::COMMIT, final_flush: logging::final_flush };
 
 /// Exit code of a wrong command line, as in clap.
 const USAGE: u8 = 2;
@@ -50,7 +50,7 @@ fn main() -> ExitCode {
     match outcome {
         Ok(code) => code,
         Err(error) => {
-            tracing::error!("{}", pb3dp_wiring::message_codes::in_words(&error));
+            tracing::error!("{}", pb3dp_wiring::message_codes::error_text(&error));
             ExitCode::FAILURE
         }
     }

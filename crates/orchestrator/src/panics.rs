@@ -10,10 +10,10 @@ pub fn install() {
         let (name, backtrace) = (thread.name().unwrap_or("without a name"), Backtrace::capture());
         match backtrace.status() {
             BacktraceStatus::Captured => {
-                tracing::error!("a mistake of the program, report it: thread {name} {info}\n{backtrace}");
+                tracing::error!("internal error; please report it: thread {name} {info}\n{backtrace}");
             }
             _ => tracing::error!(
-                "a mistake of the program, report it: thread {name} {info} (with RUST_BACKTRACE=1 there is more to tell)"
+                "internal error; please report it: thread {name} {info} (with RUST_BACKTRACE=1 there is more to tell)"
             ),
         }
     }));

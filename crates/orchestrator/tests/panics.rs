@@ -71,14 +71,14 @@ impl Scene {
         let mut command = Command::new(std::env::current_exe().unwrap());
         command.arg("panics").stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(full);
         let mut child = command.spawn().unwrap();
-        let (tell, told) = channel();
+        let (tell, messages) = channel();
         let mut output = BufReader::new(child.stdout.take().unwrap());
         std::thread::spawn(move || {
             let mut line = String::new();
             output.read_line(&mut line).unwrap();
             tell.send(line)
         });
-        let line = told.recv_timeout(LONG).unwrap_or_else(|_| {
+        let line = messages.recv_timeout(LONG).unwrap_or_else(|_| {
             child.kill().unwrap();
             panic!("the thread waits for its log")
         });

@@ -71,8 +71,9 @@ struct Figures {
 
 fn main() {
     let options: Vec<String> = std::env::args().skip(1).collect();
-    let value = |name: &str| options.iter().position(|word| word == name).and_then(|at| options.get(at + 1)).cloned();
-    let length = Duration::from_secs(if options.iter().any(|word| word == "--quick") { 2 } else { 20 });
+    let value =
+        |name: &str| options.iter().position(|option| option == name).and_then(|at| options.get(at + 1)).cloned();
+    let length = Duration::from_secs(if options.iter().any(|option| option == "--quick") { 2 } else { 20 });
     let mut figures: [Figures; CASES.len()] = Default::default();
     for _ in 0..ROUNDS {
         for (figures, case) in figures.iter_mut().zip(&CASES) {
@@ -97,7 +98,7 @@ fn recorded() -> Arc<FramePair> {
 }
 
 /// A page that takes every image.
-struct Watching {
+struct PageLoad {
     is_over: Arc<AtomicBool>,
     images: Arc<AtomicU64>,
     thread: JoinHandle<()>,
@@ -109,7 +110,7 @@ fn asking(rig: &Rig) -> Page {
     page
 }
 
-fn watch(rig: &Rig) -> Watching {
+fn watch(rig: &Rig) -> PageLoad {
     let mut page = asking(rig);
     let (is_over, images) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicU64::new(0)));
     let (over, count) = (is_over.clone(), images.clone());
@@ -124,29 +125,29 @@ fn watch(rig: &Rig) -> Watching {
             }
         }
     });
-    Watching { is_over, images, thread }
+    PageLoad { is_over, images, thread }
 }
 
 fn measure(case: &Case, length: Duration, figures: &mut Figures) {
     let rig = Rig::with_images(|_| {}, (true, case.is_preferred), recorded());
-    let watching: Vec<Watching> = (0..case.pages).map(|_| watch(&rig)).collect();
+    let page_loads: Vec<PageLoad> = (0..case.pages).map(|_| watch(&rig)).collect();
     // It asks for images and takes none; the server closes it after half a second.
     let idle = case.has_idle.then(|| asking(&rig));
     std::thread::sleep(Duration::from_millis(500));
-    rig.seen.lock().unwrap().lateness_s.clear();
-    let images_before: u64 = watching.iter().map(|page| page.images.load(Ordering::SeqCst)).sum();
+    rig.observed.lock().unwrap().lateness_s.clear();
+    let images_before: u64 = page_loads.iter().map(|page| page.images.load(Ordering::SeqCst)).sum();
     let (began, cpu_before) = (Instant::now(), cpu_of_panel_s());
     std::thread::sleep(length);
     let (passed_s, cpu_s) = (began.elapsed().as_secs_f64(), cpu_of_panel_s() - cpu_before);
-    let images: u64 = watching.iter().map(|page| page.images.load(Ordering::SeqCst)).sum();
+    let images: u64 = page_loads.iter().map(|page| page.images.load(Ordering::SeqCst)).sum();
     figures.cpu_percent.push(100.0 * cpu_s / passed_s);
-    figures.is_refused |= case.is_preferred && !rig.seen.lock().unwrap().is_preferred;
-    figures.lateness_ms.extend(rig.seen.lock().unwrap().lateness_s.iter().map(|late_s| 1e3 * late_s));
+    figures.is_refused |= case.is_preferred && !rig.observed.lock().unwrap().is_preferred;
+    figures.lateness_ms.extend(rig.observed.lock().unwrap().lateness_s.iter().map(|late_s| 1e3 * late_s));
     if case.pages > 0 {
         figures.images_per_s.push((images - images_before) as f64 / passed_s / case.pages as f64);
     }
     drop(idle);
-    for page in watching {
+    for page in page_loads {
         page.is_over.store(true, Ordering::SeqCst);
         page.thread.join().expect("a page");
     }

@@ -22,14 +22,14 @@ const SELECTION_TIME: Duration = Duration::from_secs(2);
 
 impl Hub {
     /// Gives a command to the control thread; the caller has checked the lease and what the operator saw. The control thread compares
-    /// `state_seen` once more, but not for commands that only end motion.
+    /// `shown_state` once more, but not for commands that only end motion.
     ///
     /// # Errors
     /// If the command cannot be given now.
     pub fn give_command(
         &self,
         command: OperatorCommand,
-        state_seen: u64,
+        shown_state: u64,
         chosen: Option<Chosen>,
     ) -> Result<Answer, Refusal> {
         let name = command.name();
@@ -52,7 +52,7 @@ impl Hub {
         if starts && self.config.hold_to_run && !self.is_pressed.load(Ordering::SeqCst) {
             return Err(Refusal::NotPressed { command: name });
         }
-        let given = GivenCommand { id: self.link.next_id(), command, at: self.now(), state_seen };
+        let given = GivenCommand { id: self.link.next_id(), command, at: self.now(), shown_state };
         let has_room = self.pending.push(PendingCommand { id: given.id, command, chosen, answer });
         if !has_room && !command.ends_motion() {
             return Err(Refusal::QueueFull { command: name, limit: COMMANDS_MAX });
@@ -137,7 +137,7 @@ impl Hub {
         let refused = || {
             Err(Refusal::OtherTarget {
                 command: "start",
-                seen: "the target before".to_owned(),
+                shown: "the target before".to_owned(),
                 current: "one that is being initialised".to_owned(),
             })
         };
@@ -182,7 +182,7 @@ impl Hub {
         if let (OperatorCommand::Select, Some(chosen)) = (pending.command, &pending.chosen) {
             self.choose(chosen);
         }
-        Ok(CommandAnswer { command, line: in_words(pending.command, decision), number: taken.number })
+        Ok(CommandAnswer { command, line: answer_text(pending.command, decision), number: taken.number })
     }
 
     /// Gives an accepted selection to the estimation. A new target begins without a jog.
@@ -239,7 +239,7 @@ impl Hub {
     }
 }
 
-fn in_words(command: OperatorCommand, decision: &Decision) -> String {
+fn answer_text(command: OperatorCommand, decision: &Decision) -> String {
     match &decision.transition {
         Some(transition) => format!("{}: {}", command.name(), transition.to),
         None if command == OperatorCommand::Hold && decision.no_arm_may_move => {

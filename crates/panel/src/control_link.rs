@@ -26,7 +26,7 @@ pub struct GivenCommand {
     /// Time at which the panel received it.
     pub at: MonotonicTime,
     /// State number that the operator saw; the control thread refuses the command in another state.
-    pub state_seen: u64,
+    pub shown_state: u64,
 }
 
 /// What became of a command.
@@ -72,13 +72,13 @@ pub struct ShownDecision {
 pub struct UrgentSlot {
     /// Number of the command; 0 after it was taken.
     id: AtomicU64,
-    said_nanos: AtomicU64,
+    requested_nanos: AtomicU64,
 }
 
 impl UrgentSlot {
     /// Gives the command.
     pub fn give(&self, id: u64, at: MonotonicTime) {
-        self.said_nanos.store(at.as_nanos(), Ordering::SeqCst);
+        self.requested_nanos.store(at.as_nanos(), Ordering::SeqCst);
         self.id.fetch_max(id, Ordering::SeqCst);
     }
 
@@ -86,7 +86,7 @@ impl UrgentSlot {
     pub fn take(&self) -> Option<(u64, MonotonicTime)> {
         match self.id.swap(0, Ordering::SeqCst) {
             0 => None,
-            id => Some((id, MonotonicTime::from_nanos(self.said_nanos.load(Ordering::SeqCst)))),
+            id => Some((id, MonotonicTime::from_nanos(self.requested_nanos.load(Ordering::SeqCst)))),
         }
     }
 }
@@ -100,7 +100,7 @@ pub struct ControlLink {
     /// `hold hand`.
     pub hold_hand: UrgentSlot,
     /// Time of the last sign of life plus one, nanoseconds; 0: none.
-    heard_nanos: AtomicU64,
+    heartbeat_nanos: AtomicU64,
     /// Share of the velocity, bits of an `f64`.
     speed_share_bits: AtomicU64,
     /// Number of commands so far.
@@ -147,7 +147,7 @@ impl ControlLink {
             stop: UrgentSlot::default(),
             hold: UrgentSlot::default(),
             hold_hand: UrgentSlot::default(),
-            heard_nanos: AtomicU64::new(0),
+            heartbeat_nanos: AtomicU64::new(0),
             speed_share_bits: AtomicU64::new(1.0_f64.to_bits()),
             commands: AtomicU64::new(0),
             number: AtomicU64::new(1),
@@ -192,14 +192,14 @@ impl ControlLink {
     }
 
     /// Sets the last sign of life.
-    pub fn set_heard_at(&self, heard_at: Option<MonotonicTime>) {
-        let nanos = heard_at.map_or(0, |at| at.as_nanos().saturating_add(1));
-        self.heard_nanos.store(nanos, Ordering::SeqCst);
+    pub fn set_heartbeat_at(&self, heartbeat_at: Option<MonotonicTime>) {
+        let nanos = heartbeat_at.map_or(0, |at| at.as_nanos().saturating_add(1));
+        self.heartbeat_nanos.store(nanos, Ordering::SeqCst);
     }
 
     /// The last sign of life.
-    pub fn heard_at(&self) -> Option<MonotonicTime> {
-        self.heard_nanos.load(Ordering::SeqCst).checked_sub(1).map(MonotonicTime::from_nanos)
+    pub fn heartbeat_at(&self) -> Option<MonotonicTime> {
+        self.heartbeat_nanos.load(Ordering::SeqCst).checked_sub(1).map(MonotonicTime::from_nanos)
     }
 
     /// Sets the share of the velocity.

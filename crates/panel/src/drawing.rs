@@ -97,11 +97,11 @@ mod tests {
         let ray = rig.left().unproject(&pixel).unwrap();
         for depth_m in [0.5, 0.8, 2.0] {
             let point = rig.cam_right_from_cam_left().transform_point(&Point3::from(ray * depth_m));
-            let seen = rig.right().project(&point).unwrap();
+            let in_right = rig.right().project(&point).unwrap();
             let distance = |from: &Pixel, to: &Pixel| {
                 let (from, to) = (Vector2::from(*from), Vector2::from(*to));
-                let share = ((seen - from).dot(&(to - from)) / (to - from).norm_squared()).clamp(0.0, 1.0);
-                (from + (to - from) * share - seen).norm()
+                let share = ((in_right - from).dot(&(to - from)) / (to - from).norm_squared()).clamp(0.0, 1.0);
+                (from + (to - from) * share - in_right).norm()
             };
             let nearest = line.windows(2).map(|ends| distance(&ends[0], &ends[1])).fold(f64::INFINITY, f64::min);
             assert!(nearest < 0.05, "{depth_m} m: {nearest} px");

@@ -46,9 +46,9 @@ pub fn message(pair: &FramePair, newest: &NewestEstimate, rig: &StereoRig) -> Op
         let ray = rig.left().unproject(&Vector2::new(f64::from(u), f64::from(v))).ok()?;
         let depth_m = normal.dot(&origin) / normal.dot(&ray);
         let point_in_cam_right = rig.cam_right_from_cam_left().transform_point(&Point3::from(ray * depth_m));
-        let seen = (depth_m > 0.0).then(|| rig.right().project(&point_in_cam_right)).flatten()?;
+        let in_right = (depth_m > 0.0).then(|| rig.right().project(&point_in_cam_right)).flatten()?;
         let left = grey(pair.left.get_pixel(u, v).0);
-        Some(Sample { column, row, left, right: grey_at(&pair.right, seen)? })
+        Some(Sample { column, row, left, right: grey_at(&pair.right, in_right)? })
     };
     let (columns, rows) = (width.div_ceil(step), height.div_ceil(step));
     let places = (0..rows).flat_map(|row| (0..columns).map(move |column| (column, row)));

@@ -10,11 +10,11 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
 use tokio::sync::{broadcast, watch};
 
-use crate::about::About;
 use crate::config::PanelConfig;
 use crate::control_changes::Changes;
 use crate::control_link::ControlLink;
 use crate::encoded_pair::EncodedPair;
+use crate::facts::About;
 use crate::image_check_jobs::ImageCheckJobs;
 use crate::lease::Lease;
 use crate::log_lines::LogLines;
@@ -25,8 +25,8 @@ use crate::operator::SILENT_AFTER;
 use crate::pending::PendingCommands;
 use crate::preview_job::PreviewJobs;
 use crate::refusal::Refusal;
-use crate::seen::{Present, Seen};
 use crate::spectator::Watched;
+use crate::staleness::{Present, ShownState};
 use crate::viewers::Viewers;
 
 /// Targets that can be chosen again by name; each keeps its pair.
@@ -139,17 +139,17 @@ impl Hub {
     /// Checks what the holder saw when giving a command, and notes it: a later command must not be overtaken by an earlier one.
     ///
     /// # Errors
-    /// As [`Seen::check`].
-    pub fn check_seen(&self, command: &'static str, seen: &Seen) -> Result<(), Refusal> {
-        seen.check(command, &self.present())?;
-        self.note_seen(seen);
+    /// As [`ShownState::check`].
+    pub fn check_shown(&self, command: &'static str, shown: &ShownState) -> Result<(), Refusal> {
+        shown.check(command, &self.present())?;
+        self.note_shown(shown);
         Ok(())
     }
 
     /// Notes what the holder saw when giving a command that is safe on every state.
-    pub fn note_seen(&self, seen: &Seen) {
-        if (0.0..=self.now().as_secs_f64() * 1e3).contains(&seen.time_ms) {
-            self.lease().note_acted_on(seen.time_ms);
+    pub fn note_shown(&self, shown: &ShownState) {
+        if (0.0..=self.now().as_secs_f64() * 1e3).contains(&shown.time_ms) {
+            self.lease().note_acted_on(shown.time_ms);
         }
     }
 

@@ -75,10 +75,10 @@ struct Held {
     /// The newest ones that were not answered, newest last.
     nonces: Vec<Nonce>,
     /// Last sign of life; `None` while the page is hidden.
-    heard_at: Option<MonotonicTime>,
+    heartbeat_at: Option<MonotonicTime>,
     /// `time_ms` of the newest state on which the holder gave a command.
     acted_on_ms: f64,
-    /// As `heard_at`, but kept while the page is hidden.
+    /// As `heartbeat_at`, but kept while the page is hidden.
     alive_at: MonotonicTime,
 }
 
@@ -93,8 +93,8 @@ impl Lease {
     }
 
     /// Last sign of life of the holder; `None` without a holder, or while its page is hidden.
-    pub fn heard_at(&self) -> Option<MonotonicTime> {
-        self.held.as_ref()?.heard_at
+    pub fn heartbeat_at(&self) -> Option<MonotonicTime> {
+        self.held.as_ref()?.heartbeat_at
     }
 
     /// Time of the newest state on which the holder gave a command, ms of the run's clock; 0 before the first one.
@@ -133,7 +133,7 @@ impl Lease {
             holder: holder.clone(),
             session,
             nonces: vec![nonce],
-            heard_at: Some(now),
+            heartbeat_at: Some(now),
             acted_on_ms: 0.0,
             alive_at: now,
         };
@@ -208,12 +208,12 @@ impl Lease {
         held.nonces.drain(..=at);
         Ok(match heartbeat {
             Heartbeat { visible: false, .. } => {
-                held.heard_at = None;
+                held.heartbeat_at = None;
                 Sign::Hidden
             }
             Heartbeat { needs_press: true, pressed: false, .. } => Sign::Released,
             _ => {
-                held.heard_at = Some(now);
+                held.heartbeat_at = Some(now);
                 held.alive_at = now;
                 Sign::Alive
             }

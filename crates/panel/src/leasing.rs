@@ -22,7 +22,7 @@ impl Hub {
         if taken.is_take_over {
             self.link.hold_every_arm(now);
         }
-        self.link.set_heard_at(lease.heard_at());
+        self.link.set_heartbeat_at(lease.heartbeat_at());
         Ok(taken)
     }
 
@@ -36,7 +36,7 @@ impl Hub {
         let holder = lease.release(session, now)?;
         *self.commander() = None;
         self.link.hold_every_arm(now);
-        self.link.set_heard_at(None);
+        self.link.set_heartbeat_at(None);
         Ok(holder)
     }
 
@@ -47,7 +47,7 @@ impl Hub {
         let Some(holder) = lease.expire(now) else { return };
         *self.commander() = None;
         self.link.hold_every_arm(now);
-        self.link.set_heard_at(None);
+        self.link.set_heartbeat_at(None);
         tracing::info!(target: "pb3dp_panel::audit", holder = holder.id, name = holder.name, "lease ended by silence");
     }
 
@@ -72,7 +72,7 @@ impl Hub {
         let sign = lease.heartbeat(session, Heartbeat { nonce, visible, pressed, needs_press }, now)?;
         self.is_pressed.store(pressed && visible, Ordering::SeqCst);
         match sign {
-            Sign::Alive | Sign::Hidden => self.link.set_heard_at(lease.heard_at()),
+            Sign::Alive | Sign::Hidden => self.link.set_heartbeat_at(lease.heartbeat_at()),
             Sign::Released => self.link.hold_every_arm(now),
         }
         Ok(sign)

@@ -7,7 +7,6 @@
 //! The panel cannot raise limits, waive gates, or speak to a gateway: all it has are the commands of [`pb3dp_cell::operator::Operator`],
 //! the selection of targets, a share of the velocity of at most 1, and the controls of the cameras while no arm may move.
 
-pub mod about;
 mod camera_control;
 mod commanding;
 pub mod config;
@@ -15,6 +14,7 @@ mod control_changes;
 mod control_link;
 mod drawing;
 mod encoded_pair;
+pub mod facts;
 mod heat;
 mod hub;
 mod image_check;
@@ -35,15 +35,15 @@ pub mod refusal;
 pub mod region;
 mod reporting;
 pub mod secrets;
-pub mod seen;
 mod server;
 mod spectator;
-mod state_of;
-mod target_of;
+pub mod staleness;
+mod state_message;
+mod target_state;
 mod viewers;
 
-pub use about::About;
 pub use config::{Certificate, PanelAddress, PanelConfig, Protection, TlsFiles};
+pub use facts::About;
 pub use log_lines::LogLines;
 pub use operator::{PanelOperator, SILENT_AFTER};
 pub use panel::Panel;

@@ -66,34 +66,34 @@ impl PanelOperator {
     /// `stop` before everything, then the holds, then the queue in its order.
     fn next_command(&mut self, last: Option<&Decision>, now: MonotonicTime) -> Option<OperatorRequest> {
         let link = Arc::clone(&self.link);
-        for word in [OperatorCommand::Stop, OperatorCommand::Hold, OperatorCommand::HoldHand] {
-            let Some((id, at)) = link.slot_of(word).and_then(|slot| slot.take()) else { continue };
+        for command in [OperatorCommand::Stop, OperatorCommand::Hold, OperatorCommand::HoldHand] {
+            let Some((id, at)) = link.slot_of(command).and_then(|slot| slot.take()) else { continue };
             self.overtaken = self.overtaken.max(id);
             if let Some(select) = self.select_after_hold.take() {
                 self.report(select.id, select.command, Outcome::Overtaken);
             }
-            self.commanded = Some((id, word));
-            return Some(OperatorRequest { word, at });
+            self.commanded = Some((id, command));
+            return Some(OperatorRequest { command, at });
         }
         if let Some(select) = self.select_after_hold.take() {
             // The hold was a command of this panel, so the number that the operator saw no longer counts.
             self.commanded = Some((select.id, select.command));
-            return Some(OperatorRequest { word: select.command, at: now });
+            return Some(OperatorRequest { command: select.command, at: now });
         }
         while let Ok(given) = self.ends.commands.pop() {
             if given.id <= self.overtaken {
                 self.report(given.id, given.command, Outcome::Overtaken);
             } else if given.at < self.discarded_until {
                 self.report(given.id, given.command, Outcome::Suspended);
-            } else if given.state_seen != self.number {
+            } else if given.shown_state != self.number {
                 self.report(given.id, given.command, Outcome::OtherState);
             } else if given.command == OperatorCommand::Select && last.is_some_and(may_move) {
                 self.select_after_hold = Some(given);
                 self.commanded = Some((0, OperatorCommand::Hold));
-                return Some(OperatorRequest { word: OperatorCommand::Hold, at: now });
+                return Some(OperatorRequest { command: OperatorCommand::Hold, at: now });
             } else {
                 self.commanded = Some((given.id, given.command));
-                return Some(OperatorRequest { word: given.command, at: given.at });
+                return Some(OperatorRequest { command: given.command, at: given.at });
             }
         }
         None
@@ -134,10 +134,11 @@ impl Operator for PanelOperator {
         }
         self.motion.speed_share = self.link.speed_share();
         // A heartbeat that came after the begin of this step has a later time.
-        let heard_at = self.link.heard_at().map(|heard_at| heard_at.min(now));
-        let said =
-            self.next_command(last, now).map(|said| OperatorRequest { at: said.at.max(begun_at).min(now), ..said });
-        OperatorInput { said, heard_at, silent_after: Some(SILENT_AFTER) }
+        let heartbeat_at = self.link.heartbeat_at().map(|heartbeat_at| heartbeat_at.min(now));
+        let request = self
+            .next_command(last, now)
+            .map(|request| OperatorRequest { at: request.at.max(begun_at).min(now), ..request });
+        OperatorInput { request, heartbeat_at, silent_after: Some(SILENT_AFTER) }
     }
 
     fn show(&mut self, decision: &Decision) {

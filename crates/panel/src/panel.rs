@@ -8,9 +8,9 @@ use pb3dp_cell::handover::latest;
 use pb3dp_cell::selection::Selections;
 use pb3dp_hal_api::Clock;
 
-use crate::about::About;
 use crate::config::PanelConfig;
 use crate::control_link::ControlLink;
+use crate::facts::About;
 use crate::hub::Hub;
 use crate::operator::PanelOperator;
 use crate::refusal::Refusal;

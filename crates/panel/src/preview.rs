@@ -10,8 +10,8 @@ use pb3dp_estimation_core::status::Status;
 use pb3dp_hal_api::FramePair;
 use pb3dp_hal_platform::cpu_time::{timed, within};
 
-use crate::about::About;
 use crate::drawing::{axes, outline_right};
+use crate::facts::About;
 use crate::hub::Hub;
 use crate::messages::{pixels, sigmas};
 use crate::preview_job::{Preview, PreviewJob};
@@ -48,7 +48,7 @@ fn preview(
     region: &Region,
     pair: &FramePair,
 ) -> Result<Preview, Refusal> {
-    let unusable = |error: &dyn std::error::Error| Refusal::Region { why: in_words(error) };
+    let unusable = |error: &dyn std::error::Error| Refusal::Region { why: error_text(error) };
     let mut result = Preview {
         will_work: false,
         why: String::new(),
@@ -65,7 +65,7 @@ fn preview(
     let outline_px = match region.rasterize(&pair.left, &RegionConfig::default()) {
         Ok(mask) => region.outline_px(&mask),
         Err(error) => {
-            result.why = in_words(&error);
+            result.why = error_text(&error);
             return Ok(result);
         }
     };
@@ -80,7 +80,7 @@ fn preview(
         }
     };
     let mut may_continue = within(Some(TIME_MAX_MILLIS));
-    let request = EstimateRequest::of_target(&pair.left, &pair.right, region, &about.range).until(&mut may_continue);
+    let request = EstimateRequest::new_target(&pair.left, &pair.right, region, &about.range).until(&mut may_continue);
     match tracker.estimate(request) {
         Ok(estimate) => {
             fill(&mut result, about, &estimate, &outline_px);
@@ -91,7 +91,7 @@ fn preview(
                 .collect::<Vec<_>>()
                 .join("; ");
         }
-        Err(error) => result.why = in_words(&error),
+        Err(error) => result.why = error_text(&error),
     }
     Ok(result)
 }
@@ -159,17 +159,17 @@ fn why(estimate: &TrackEstimate) -> String {
 }
 
 /// An error with its causes.
-fn in_words(error: &dyn std::error::Error) -> String {
-    let mut words = error.to_string();
+fn error_text(error: &dyn std::error::Error) -> String {
+    let mut full_text = error.to_string();
     let mut source = error.source();
     while let Some(cause) = source {
         let text = cause.to_string();
-        if !words.ends_with(&text) {
-            words = format!("{words}: {text}");
+        if !full_text.ends_with(&text) {
+            full_text = format!("{full_text}: {text}");
         }
         source = cause.source();
     }
-    words
+    full_text
 }
 
 #[cfg(test)]

@@ -119,22 +119,22 @@ pub enum Refusal {
     #[error("the nonce of this heartbeat is unknown, used or too old; answer the newest one")]
     Nonce,
     /// The command refers to another state.
-    #[error("{command} refused: the page showed state number {seen}, now it is {current}; check, then repeat it")]
+    #[error("{command} refused: the page showed state number {shown}, now it is {current}; check, then repeat it")]
     OtherState {
         /// The command.
         command: &'static str,
         /// State number of the command.
-        seen: u64,
+        shown: u64,
         /// Present state number.
         current: u64,
     },
     /// The command refers to another target.
-    #[error("{command} refused: the page showed {seen}, now it is {current}; check, then repeat it")]
+    #[error("{command} refused: the page showed {shown}, now it is {current}; check, then repeat it")]
     OtherTarget {
         /// The command.
         command: &'static str,
         /// Target of the command, in words.
-        seen: String,
+        shown: String,
         /// Present target, in words.
         current: String,
     },

@@ -5,11 +5,11 @@ use std::time::{Duration, Instant};
 
 use axum::extract::ws::Utf8Bytes;
 use pb3dp_cell::handover::LatestConsumer;
-use pb3dp_cell::moving::Moved;
+use pb3dp_cell::moving::StepRecord;
 
 use crate::control_link::{ReportingEnds, TakenCommand};
 use crate::hub::Hub;
-use crate::state_of::StateBuilder;
+use crate::state_message::StateBuilder;
 
 /// Time between two looks for results of commands; an operator does not notice it.
 const RESULTS_EVERY: Duration = Duration::from_millis(5);
@@ -19,7 +19,7 @@ const STATES_EVERY: Duration = Duration::from_millis(50);
 const RENEWALS_EVERY: Duration = Duration::from_secs(1);
 
 /// Reports until the panel ends.
-pub fn run(hub: &Arc<Hub>, mut ends: ReportingEnds, mut steps: LatestConsumer<Moved>) {
+pub fn run(hub: &Arc<Hub>, mut ends: ReportingEnds, mut steps: LatestConsumer<StepRecord>) {
     let mut builder = StateBuilder::new(Instant::now(), hub.now());
     let (mut due, mut renewal_due) = (Instant::now(), Instant::now());
     while !hub.is_over() {

@@ -3,10 +3,10 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
+use pb3dp_cell::estimate_log::PairEstimate;
 use pb3dp_cell::handover::LatestProducer;
 use pb3dp_cell::journal::TruePoses;
-use pb3dp_cell::moving::Moved;
-use pb3dp_cell::noting::PairEstimate;
+use pb3dp_cell::moving::StepRecord;
 use pb3dp_cell::perception::View;
 use pb3dp_cell::selection::Choice;
 use pb3dp_cell::spectator::Spectator;
@@ -63,24 +63,24 @@ impl Watched {
 /// Copies each step and each estimate.
 pub struct PanelSpectator {
     watched: Arc<Watched>,
-    steps: LatestProducer<Moved>,
+    steps: LatestProducer<StepRecord>,
     /// Pose of the model on the target, after the first estimate; in a simulation.
     target_from_model: Option<Pose<Target, Model>>,
 }
 
 impl PanelSpectator {
-    pub(crate) fn new(watched: Arc<Watched>, steps: LatestProducer<Moved>) -> Self {
+    pub(crate) fn new(watched: Arc<Watched>, steps: LatestProducer<StepRecord>) -> Self {
         Self { watched, steps, target_from_model: None }
     }
 }
 
 impl Spectator for PanelSpectator {
-    fn moved(&mut self, step: &Moved, _poses: Option<TruePoses>) {
+    fn moved(&mut self, step: &StepRecord, _poses: Option<TruePoses>) {
         self.steps.give(*step);
     }
 
-    fn seen(&mut self, seen: &PairEstimate) {
-        let PairEstimate { captured, target, region, estimate, latency_millis, .. } = seen;
+    fn estimated(&mut self, pair_estimate: &PairEstimate) {
+        let PairEstimate { captured, target, region, estimate, latency_millis, .. } = pair_estimate;
         // Without a selected target the number is 0 and there is no pose.
         let target = (*target > 0 || estimate.cam_left_from_model.is_some()).then_some(*target);
         if region.is_some() {
@@ -88,8 +88,10 @@ impl Spectator for PanelSpectator {
         }
         let poses = estimate.cam_left_from_model.zip(captured.cam_left_from_target);
         if let (None, Some((found, truth))) = (self.target_from_model, poses) {
-            let restored = matches!(&seen.chosen, Some(Choice::Marked(selection)) if selection.model.is_some());
-            let cam_left_from_model = seen.cam_left_from_plane().and_then(|plane| true_model_frame(&found, &plane));
+            let restored =
+                matches!(&pair_estimate.chosen, Some(Choice::Marked(selection)) if selection.model.is_some());
+            let cam_left_from_model =
+                pair_estimate.cam_left_from_plane().and_then(|plane| true_model_frame(&found, &plane));
             // The x axis of a model from before is that of another view.
             let cam_left_from_model =
                 cam_left_from_model.map(|pose| if restored { turned_as(&pose, &found) } else { pose });

@@ -4,13 +4,13 @@ use image::RgbImage;
 use pb3dp_estimation_core::region::RegionConfig;
 use pb3dp_geometry::{ImageSize, MonotonicTime};
 use pb3dp_panel::messages::requests::{
-    ControlRequest, HeartbeatRequest, HoldRequest, JogRequest, LeaseRequest, PreviewRequest, PushRequest, SeenRequest,
-    SelectRequest, SpeedRequest,
+    ControlRequest, HeartbeatRequest, HoldRequest, JogRequest, LeaseRequest, PreviewRequest, PushRequest,
+    SelectRequest, ShownRequest, SpeedRequest,
 };
 use pb3dp_panel::messages::socket::ClientMessage;
 use pb3dp_panel::region::region_in;
 use pb3dp_panel::secrets::{Nonce, Session};
-use pb3dp_panel::seen::{Present, SEEN_AGE_MAX, Seen};
+use pb3dp_panel::staleness::{Present, SHOWN_AGE_MAX, ShownState};
 use proptest::prelude::*;
 use serde_json::json;
 
@@ -22,17 +22,17 @@ fn messages_survive(bytes: &[u8]) {
     let _ = serde_json::from_slice::<HoldRequest>(bytes);
     let _ = serde_json::from_slice::<PushRequest>(bytes);
     let _ = serde_json::from_slice::<ControlRequest>(bytes);
-    if let Ok(SeenRequest { seen }) = serde_json::from_slice(bytes) {
-        seen_survives(&seen);
+    if let Ok(ShownRequest { shown }) = serde_json::from_slice(bytes) {
+        shown_survives(&shown);
     }
-    if let Ok(SpeedRequest { seen, .. }) = serde_json::from_slice(bytes) {
-        seen_survives(&seen);
+    if let Ok(SpeedRequest { shown, .. }) = serde_json::from_slice(bytes) {
+        shown_survives(&shown);
     }
-    if let Ok(JogRequest { seen, .. }) = serde_json::from_slice(bytes) {
-        seen_survives(&seen);
+    if let Ok(JogRequest { shown, .. }) = serde_json::from_slice(bytes) {
+        shown_survives(&shown);
     }
-    if let Ok(SelectRequest { region, seen, .. }) = serde_json::from_slice(bytes) {
-        seen_survives(&seen);
+    if let Ok(SelectRequest { region, shown, .. }) = serde_json::from_slice(bytes) {
+        shown_survives(&shown);
         region.iter().for_each(|region| region_survives(region));
     }
     if let Ok(PreviewRequest { region: Some(region), .. }) = serde_json::from_slice(bytes) {
@@ -64,12 +64,12 @@ fn region_survives(text: &str) {
 }
 
 /// Only a command on the present state, target and time passes.
-fn seen_survives(seen: &Seen) {
+fn shown_survives(shown: &ShownState) {
     let present = Present { state: 17, target: Some(2), now: MonotonicTime::from_secs_f64(124.0), acted_on_ms: 0.0 };
-    if seen.check("start", &present).is_ok() {
-        let age_ms = 124_000.0 - seen.time_ms;
-        assert!((-0.01..=SEEN_AGE_MAX.as_secs_f64() * 1e3).contains(&age_ms), "{seen:?}");
-        assert_eq!((seen.state, seen.target), (present.state, present.target));
+    if shown.check("start", &present).is_ok() {
+        let age_ms = 124_000.0 - shown.time_ms;
+        assert!((-0.01..=SHOWN_AGE_MAX.as_secs_f64() * 1e3).contains(&age_ms), "{shown:?}");
+        assert_eq!((shown.state, shown.target), (present.state, present.target));
     }
 }
 
@@ -84,11 +84,11 @@ fn secrets_survive(text: &str) {
 }
 
 fn valid() -> Vec<String> {
-    let seen = json!({ "state": 17, "target": 2, "time_ms": 123_456.7 });
+    let shown = json!({ "state": 17, "target": 2, "time_ms": 123_456.7 });
     [
         json!({ "action": "take", "name": "lab" }),
-        json!({ "region": "poly:1,2;30,4;5,60", "sequence": 12, "name": "cup", "seen": seen }),
-        json!({ "offset_mm": [1, 2, 3], "offset_deg": [0.1, 0.2, 0.3], "seen": seen }),
+        json!({ "region": "poly:1,2;30,4;5,60", "sequence": 12, "name": "cup", "seen": shown }),
+        json!({ "offset_mm": [1, 2, 3], "offset_deg": [0.1, 0.2, 0.3], "seen": shown }),
         json!({ "type": "images", "left": true, "right": true, "view": "rectified", "fps_max": 30 }),
         json!({ "type": "heartbeat", "nonce": "0123456789abcdef", "visible": true }),
     ]
@@ -121,8 +121,8 @@ proptest! {
 #[test]
 fn no_message_is_another_one() {
     let hold = json!({ "hand_only": true }).to_string();
-    assert!(serde_json::from_str::<SeenRequest>(&hold).is_err());
-    assert!(serde_json::from_str::<SeenRequest>("{}").is_err());
+    assert!(serde_json::from_str::<ShownRequest>(&hold).is_err());
+    assert!(serde_json::from_str::<ShownRequest>("{}").is_err());
     let doubled = r#"{"hand_only":true,"hand_only":false}"#;
     assert!(serde_json::from_str::<HoldRequest>(doubled).is_err(), "a repeated field");
     let doubled = r#"{"type":"hello","protocol":1,"session":null,"session":"x"}"#;

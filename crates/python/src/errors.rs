@@ -1,6 +1,6 @@
 //! Errors of the library as exceptions of Python.
 
-use pb3dp_wiring::message_codes::{code_of, in_words};
+use pb3dp_wiring::message_codes::{code_of, error_text};
 use pyo3::exceptions::PyException;
 use pyo3::prelude::*;
 
@@ -29,7 +29,7 @@ impl<T, E: Into<anyhow::Error>> OrRaise<T> for Result<T, E> {
 }
 
 fn exception(py: Python<'_>, error: &anyhow::Error) -> PyErr {
-    let raised = Error::new_err(in_python(&in_words(error)));
+    let raised = Error::new_err(in_python(&error_text(error)));
     let code = code_of(error).map(|known| known.code);
     match raised.value(py).setattr("code", code) {
         Ok(()) => raised,

@@ -53,7 +53,7 @@ impl Estimate {
         }
     }
 
-    fn warnings_in_words(&self) -> Vec<String> {
+    fn warning_texts(&self) -> Vec<String> {
         self.estimate.warnings.iter().map(ToString::to_string).chain(self.input_warnings.iter().cloned()).collect()
     }
 }
@@ -75,7 +75,7 @@ impl Estimate {
     /// What may make the pose worse than its status.
     #[getter]
     fn warnings(&self) -> Vec<String> {
-        self.warnings_in_words().iter().map(|warning| in_python(warning)).collect()
+        self.warning_texts().iter().map(|warning| in_python(warning)).collect()
     }
 
     /// The method: `direct` or `published`.
@@ -183,7 +183,7 @@ impl Estimate {
         let place = (self.centroid_px, self.z_m);
         let share = self.calibration_covariance.as_ref();
         let line = EstimateLine::of(case, self.method.name(), &self.estimate, place, share, self.cpu_millis);
-        let line = EstimateLine { warnings: self.warnings_in_words(), ..line };
+        let line = EstimateLine { warnings: self.warning_texts(), ..line };
         serde_json::to_string(&line).or_raise(py)
     }
 

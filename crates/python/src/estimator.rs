@@ -167,7 +167,7 @@ impl Estimator {
         self.on_pair(py, [left, right], region, |state, left, right, region, warning| {
             let (estimate, millis) = timed(|| {
                 let mut may_continue = within(deadline_ms);
-                let request = EstimateRequest::of_target(left, right, region, &self.range);
+                let request = EstimateRequest::new_target(left, right, region, &self.range);
                 state.inner.estimate(request.until(&mut may_continue))
             });
             let estimate = estimate?;
@@ -190,7 +190,7 @@ impl Estimator {
         region: &Bound<'py, PyAny>,
     ) -> PyResult<Visible<'py>> {
         let points = self.on_pair(py, [left, right], region, |state, left, right, region, _| {
-            Ok(state.inner.visible_surface(&EstimateRequest::of_target(left, right, region, &self.range))?)
+            Ok(state.inner.visible_surface(&EstimateRequest::new_target(left, right, region, &self.range))?)
         })?;
         let positions = points.iter().flat_map(|point| <[f64; 3]>::from(point.position_in_cam_left_m.coords));
         let sigmas: Vec<f64> = points.iter().map(|point| point.sigma_m).collect();

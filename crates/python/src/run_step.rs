@@ -1,7 +1,7 @@
 //! Control steps of a simulated run, and the pairs that were estimated in it.
 
 use numpy::{PyArray1, PyArray2};
-use pb3dp_cell::noting::PairEstimate;
+use pb3dp_cell::estimate_log::PairEstimate;
 use pb3dp_cell::parts::ArmChoice;
 use pb3dp_cell::perception::View;
 use pb3dp_cell::stepped::SteppedStep;
@@ -29,8 +29,11 @@ impl RunStep {
     /// A finished step.
     pub fn new(py: Python<'_>, mut step: SteppedStep) -> PyResult<Self> {
         let begin = step.begin;
-        let seen = std::mem::take(&mut step.seen);
-        let pairs = seen.into_iter().map(|seen| Py::new(py, RunPair::new(begin, seen))).collect::<PyResult<_>>()?;
+        let estimates = std::mem::take(&mut step.estimates);
+        let pairs = estimates
+            .into_iter()
+            .map(|estimates| Py::new(py, RunPair::new(begin, estimates)))
+            .collect::<PyResult<_>>()?;
         Ok(Self { step, pairs })
     }
 }
@@ -125,16 +128,16 @@ pub fn numbered(arm: usize) -> PyResult<usize> {
 #[pyclass(frozen, module = "pb3dp")]
 pub struct RunPair {
     t_s: f64,
-    seen: PairEstimate,
+    estimates: PairEstimate,
 }
 
 impl RunPair {
-    fn new(begin: MonotonicTime, seen: PairEstimate) -> Self {
-        Self { t_s: seen.captured.frame.at.seconds_since(begin), seen }
+    fn new(begin: MonotonicTime, estimates: PairEstimate) -> Self {
+        Self { t_s: estimates.captured.frame.at.seconds_since(begin), estimates }
     }
 
     fn images(&self) -> Option<&FramePair> {
-        match &self.seen.captured.view {
+        match &self.estimates.captured.view {
             View::Images(pair) => Some(pair),
             View::Geometric(_) | View::Nothing => None,
         }
@@ -152,19 +155,19 @@ impl RunPair {
     /// Number of the pair; a gap means that pairs were lost.
     #[getter]
     fn sequence(&self) -> u64 {
-        self.seen.captured.frame.sequence
+        self.estimates.captured.frame.sequence
     }
 
     /// The estimate of the method that leads the hand. Its `cpu_ms` is the time on the wall.
     #[getter]
     fn estimate(&self) -> TrackEstimate {
-        TrackEstimate::new(self.seen.estimate.clone(), self.seen.latency_millis)
+        TrackEstimate::new(self.estimates.estimate.clone(), self.estimates.latency_millis)
     }
 
     /// True pose of the target at the exposure: 4x4, metres, or None.
     #[getter]
     fn cam_left_from_target<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
-        let truth: Option<&Pose<CamLeft, Target>> = self.seen.captured.cam_left_from_target.as_ref();
+        let truth: Option<&Pose<CamLeft, Target>> = self.estimates.captured.cam_left_from_target.as_ref();
         arrays::pose_if_any(py, truth)
     }
 
@@ -181,6 +184,6 @@ impl RunPair {
     }
 
     fn __repr__(&self) -> String {
-        format!("RunPair({:.3} s, {})", self.t_s, self.seen.estimate.status)
+        format!("RunPair({:.3} s, {})", self.t_s, self.estimates.estimate.status)
     }
 }

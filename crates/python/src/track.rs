@@ -32,7 +32,7 @@ impl TrackEstimate {
         Self { input_warnings, ..self }
     }
 
-    fn warnings_in_words(&self) -> Vec<String> {
+    fn warning_texts(&self) -> Vec<String> {
         self.estimate.warnings.iter().map(ToString::to_string).chain(self.input_warnings.iter().cloned()).collect()
     }
 }
@@ -55,7 +55,7 @@ impl TrackEstimate {
     /// What may make the pose worse than its status; reported once, with the first frame.
     #[getter]
     fn warnings(&self) -> Vec<String> {
-        self.warnings_in_words().iter().map(|warning| in_python(warning)).collect()
+        self.warning_texts().iter().map(|warning| in_python(warning)).collect()
     }
 
     /// Pose of the target: 4x4, maps coordinates in `model` to `cam_left`, translation in metres; or None.
@@ -157,7 +157,7 @@ impl TrackEstimate {
     #[pyo3(signature = (frame=0, t_s=0.0))]
     fn to_json(&self, py: Python<'_>, frame: usize, t_s: f64) -> PyResult<String> {
         let line = TrackLine::of(frame, t_s, &self.estimate, self.cpu_millis);
-        let line = TrackLine { warnings: self.warnings_in_words(), ..line };
+        let line = TrackLine { warnings: self.warning_texts(), ..line };
         serde_json::to_string(&line).or_raise(py)
     }
 

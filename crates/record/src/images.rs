@@ -467,12 +467,12 @@ mod tests {
     fn the_size_is_checked_before_an_image_is_decoded() {
         let folder = tempfile::tempdir().unwrap();
         let size = ImageSize { width: 64, height: 48 };
-        let told = |file: &Path| check_header(file, size, "the left image").unwrap_err().to_string();
+        let message_of = |file: &Path| check_header(file, size, "the left image").unwrap_err().to_string();
         let large = folder.path().join("large.png");
         RgbImage::new(100, 80).save(&large).unwrap();
         // Only the header is left.
         std::fs::File::options().write(true).open(&large).unwrap().set_len(64).unwrap();
-        assert!(told(&large).contains("100x80 pixels, but the left image has 64x48"), "{}", told(&large));
+        assert!(message_of(&large).contains("100x80 pixels, but the left image has 64x48"), "{}", message_of(&large));
     }
 
     #[test]

@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn what_can_not_be_written_is_told() {
+    fn files_that_cannot_be_written_are_reported() {
         let folder = tempfile::tempdir().unwrap();
         let mut bad = points();
         bad[1].position_m.y = f64::NAN;

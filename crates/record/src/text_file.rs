@@ -51,12 +51,12 @@ mod tests {
     #[test]
     fn a_text_is_read_up_to_its_limit() {
         let folder = tempfile::tempdir().unwrap();
-        let told = |file: &Path| read_text(file).unwrap_err().to_string();
+        let message_of = |file: &Path| read_text(file).unwrap_err().to_string();
         let large = folder.path().join("large");
         fs::File::create(&large).unwrap().set_len(TEXT_MAX_BYTES + 1).unwrap();
-        assert!(told(&large).contains("it has 67108865 bytes, at most 67108864"), "{}", told(&large));
+        assert!(message_of(&large).contains("it has 67108865 bytes, at most 67108864"), "{}", message_of(&large));
         fs::write(&large, [0xFF]).unwrap();
-        assert!(told(&large).contains("not text"), "{}", told(&large));
+        assert!(message_of(&large).contains("not text"), "{}", message_of(&large));
         write_text(&large, "text").unwrap();
         assert_eq!(read_text(&large).unwrap(), "text");
     }

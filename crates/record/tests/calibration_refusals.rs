@@ -74,7 +74,7 @@ fn ros_pairs() {
 }
 
 #[test]
-fn camchains() {
+fn kalibr_camchain_files() {
     let text = "cam0:
   camera_model: pinhole
   distortion_coeffs: [-0.31, 0.12, 0.0011, -0.0007]
@@ -214,8 +214,8 @@ fn files_that_are_no_calibrations() {
     assert!(none.starts_with("0 calibration files were given"), "{none}");
     let missing = load_stereo(&[PathBuf::from("no/such/calib.yaml")]).unwrap_err();
     assert!(matches!(missing, CalibrationFileError::Read { .. }));
-    let said = "no/such/calib.yaml: cannot be read: no such file; give the path of a calibration, or write one with `pb3dp calibrate stereo`";
-    assert_eq!(missing.to_string(), said);
+    let message = "no/such/calib.yaml: cannot be read: no such file; give the path of a calibration, or write one with `pb3dp calibrate stereo`";
+    assert_eq!(missing.to_string(), message);
     let empty = tempfile::tempdir().unwrap();
     let error = load_stereo(&[empty.path().to_path_buf()]).unwrap_err().to_string();
     let expected = "contains no left.yaml and right.yaml, calib.json, calibration.toml, or intrinsics.yml and extrinsics.yml; give the calibration file itself";

@@ -4,7 +4,7 @@ use anyhow::{Context, Result};
 use nalgebra::Vector2;
 use pb3dp_bag::cdr::Later;
 use pb3dp_bag::run_messages::{Chosen, PairResult};
-use pb3dp_cell::noting::PairEstimate;
+use pb3dp_cell::estimate_log::PairEstimate;
 use pb3dp_cell::perception::View;
 use pb3dp_cell::selection::Choice;
 use pb3dp_estimation_core::estimate::{SurfaceEstimate, TrackEstimate};
@@ -13,9 +13,9 @@ use pb3dp_estimation_core::method::KnownModel;
 use crate::exact::{covariance, of_covariance, of_pose_if_any, of_region, pose_if_any, same_bits};
 
 /// An estimate with everything that it depended on.
-pub fn pair_result(seen: &PairEstimate) -> PairResult {
-    let PairEstimate { captured, estimate, .. } = seen;
-    let chosen = seen.chosen.as_ref().map(|choice| match choice {
+pub fn pair_result(pair_estimate: &PairEstimate) -> PairResult {
+    let PairEstimate { captured, estimate, .. } = pair_estimate;
+    let chosen = pair_estimate.chosen.as_ref().map(|choice| match choice {
         Choice::OfSetup => Chosen { kind: "of setup".to_owned(), region: Default::default(), drawn_on: Vec::new() },
         Choice::Marked(selection) => Chosen {
             kind: "marked".to_owned(),
@@ -24,7 +24,7 @@ pub fn pair_result(seen: &PairEstimate) -> PairResult {
         },
     });
     let surface = estimate.surface.as_ref();
-    let model = match &seen.chosen {
+    let model = match &pair_estimate.chosen {
         Some(Choice::Marked(selection)) => selection.model.as_deref(),
         Some(Choice::OfSetup) | None => None,
     };
@@ -33,13 +33,13 @@ pub fn pair_result(seen: &PairEstimate) -> PairResult {
         exposed_at_nanos: captured.frame.at.as_nanos(),
         skew_s: captured.frame.skew_s,
         has_images: matches!(captured.view, View::Images(_)),
-        steps: seen.steps,
+        steps: pair_estimate.steps,
         chosen: chosen.into_iter().collect(),
         cam_left_from_target: of_pose_if_any(captured.cam_left_from_target.as_ref()),
-        cam_left_prev_from_cam_left_now: of_pose_if_any(seen.prior.cam_left_prev_from_cam_left_now.as_ref()),
-        since_previous_s: seen.prior.dt_s.into_iter().collect(),
-        target: seen.target,
-        region: seen.region.iter().map(of_region).collect(),
+        cam_left_prev_from_cam_left_now: of_pose_if_any(pair_estimate.prior.cam_left_prev_from_cam_left_now.as_ref()),
+        since_previous_s: pair_estimate.prior.dt_s.into_iter().collect(),
+        target: pair_estimate.target,
+        region: pair_estimate.region.iter().map(of_region).collect(),
         status: estimate.status.to_string(),
         reason: estimate.reason.clone(),
         cam_left_from_model: of_pose_if_any(estimate.cam_left_from_model.as_ref()),
@@ -48,8 +48,8 @@ pub fn pair_result(seen: &PairEstimate) -> PairResult {
         observed: estimate.observed.iter().flatten().copied().collect(),
         rotation_about_normal_observed: estimate.rotation_about_normal_observed,
         outline_px: estimate.outline_px.iter().flat_map(|corner| [corner.x, corner.y]).collect(),
-        latency_millis: seen.latency_millis,
-        age_millis: seen.age_millis,
+        latency_millis: pair_estimate.latency_millis,
+        age_millis: pair_estimate.age_millis,
         first_pose_covariance: Later(of_covariance(estimate.first_pose_covariance.as_ref())),
         pose_covariance: Later(of_covariance(estimate.pose_covariance.as_ref())),
         surface_from_model: Later(of_pose_if_any(surface.map(|known| &known.surface_from_model))),

@@ -9,12 +9,12 @@ use image::{DynamicImage, GrayImage, ImageFormat};
 use nalgebra::{Matrix6, Point3, Vector2};
 use pb3dp_bag::cdr::{Bytes, Later};
 use pb3dp_bag::messages::LogLine;
-use pb3dp_bag::run_messages::{self, ControlStep, Marked, Observed, Said};
+use pb3dp_bag::run_messages::{self, ControlStep, Marked, Observed, OperatorEntry};
 use pb3dp_bag::stops::{of_pose, pose};
 use pb3dp_cell::commands::CommandSummary;
 use pb3dp_cell::operator::MotionRequest;
 use pb3dp_cell::percept::Percept;
-use pb3dp_cell::perception::Marking;
+use pb3dp_cell::perception::TargetSource;
 use pb3dp_cell::spectator::RunEnd;
 use pb3dp_cell::supervision::TransitionNote;
 use pb3dp_estimation_core::region::Region;
@@ -94,13 +94,14 @@ pub fn joints(what: &str, numbers: &[f64]) -> Result<JointVector> {
 pub fn note_percept(step: &mut ControlStep, percept: &Percept) {
     let observation = percept.observation.as_ref();
     step.observed = vec![of_percept(percept)];
-    step.observed_directions = Later(observation.map_or_else(Vec::new, |seen| seen.observed.to_vec()));
+    step.observed_directions =
+        Later(observation.map_or_else(Vec::new, |observed_target| observed_target.observed.to_vec()));
     step.surface_from_model = Later(of_pose_if_any(percept.surface_from_model.as_ref()));
 }
 
 fn of_percept(percept: &Percept) -> Observed {
     let Percept { frame, estimate, observation, .. } = percept;
-    let seen = observation.as_ref();
+    let observed_target = observation.as_ref();
     Observed {
         sequence: frame.sequence,
         exposed_at_nanos: frame.at.as_nanos(),
@@ -114,10 +115,12 @@ fn of_percept(percept: &Percept) -> Observed {
         }
         .to_owned(),
         stated_covariance: of_covariance(estimate.covariance.as_ref()),
-        cam_left_from_model: of_pose_if_any(seen.map(|seen| &seen.cam_left_from_model)),
-        trusted: seen.is_some_and(|seen| seen.trusted),
-        covariance: of_covariance(seen.and_then(|seen| seen.covariance.as_ref())),
-        rotation_about_normal_observed: seen.is_some_and(|seen| seen.observed[5]),
+        cam_left_from_model: of_pose_if_any(
+            observed_target.map(|observed_target| &observed_target.cam_left_from_model),
+        ),
+        trusted: observed_target.is_some_and(|observed_target| observed_target.trusted),
+        covariance: of_covariance(observed_target.and_then(|observed_target| observed_target.covariance.as_ref())),
+        rotation_about_normal_observed: observed_target.is_some_and(|observed_target| observed_target.observed[5]),
     }
 }
 
@@ -126,49 +129,53 @@ fn of_percept(percept: &Percept) -> Observed {
 /// # Errors
 /// Names the damaged field.
 pub fn percept(step: &ControlStep) -> Result<Option<Percept>> {
-    let Some(seen) = step.observed.first() else { return Ok(None) };
-    let at = MonotonicTime::from_nanos(seen.exposed_at_nanos);
-    let confidence = match seen.confidence.as_str() {
+    let Some(observed_target) = step.observed.first() else { return Ok(None) };
+    let at = MonotonicTime::from_nanos(observed_target.exposed_at_nanos);
+    let confidence = match observed_target.confidence.as_str() {
         "sure" => Confidence::Sure,
         "doubtful" => Confidence::Doubtful,
         "no pose" => Confidence::NoPose,
         "miscalibrated" => Confidence::Miscalibrated,
         other => bail!("observed.confidence: {other:?} is no confidence"),
     };
-    let observation = pose_if_any("observed.cam_left_from_model", &seen.cam_left_from_model)?
+    let observation = pose_if_any("observed.cam_left_from_model", &observed_target.cam_left_from_model)?
         .map(|cam_left_from_model| -> Result<_> {
             Ok(TargetObservation {
                 at,
                 cam_left_from_model,
-                trusted: seen.trusted,
-                covariance: covariance("observed.covariance", &seen.covariance)?,
+                trusted: observed_target.trusted,
+                covariance: covariance("observed.covariance", &observed_target.covariance)?,
                 observed: match &step.observed_directions.0[..] {
                     // Versions before wrote the last one only.
-                    [] => [true, true, true, true, true, seen.rotation_about_normal_observed],
+                    [] => [true, true, true, true, true, observed_target.rotation_about_normal_observed],
                     six => six.try_into().context("observed_directions: a pose has six directions")?,
                 },
             })
         })
         .transpose()?;
-    let stated = covariance("observed.stated_covariance", &seen.stated_covariance)?;
+    let stated = covariance("observed.stated_covariance", &observed_target.stated_covariance)?;
     Ok(Some(Percept {
-        frame: FrameInput { sequence: seen.sequence, at, skew_s: seen.skew_s },
-        estimate: EstimateInput { at, confidence, covariance: stated, target: seen.target },
+        frame: FrameInput { sequence: observed_target.sequence, at, skew_s: observed_target.skew_s },
+        estimate: EstimateInput { at, confidence, covariance: stated, target: observed_target.target },
         observation,
         surface_from_model: pose_if_any("surface_from_model", &step.surface_from_model.0)?,
     }))
 }
 
 /// What the operator has said, and the last sign of life.
-pub fn operator_input(said: &[Said], heard_at_nanos: &[u64], silent_after_nanos: &[u64]) -> Result<OperatorInput> {
-    let request = |said: &Said| -> Result<_> {
+pub fn operator_input(
+    said: &[OperatorEntry],
+    heard_at_nanos: &[u64],
+    silent_after_nanos: &[u64],
+) -> Result<OperatorInput> {
+    let request = |said: &OperatorEntry| -> Result<_> {
         let word = OperatorCommand::ALL.into_iter().find(|word| word.name() == said.word);
         let word = word.with_context(|| format!("said: {:?} is no command of an operator", said.word))?;
-        Ok(OperatorRequest { word, at: MonotonicTime::from_nanos(said.at_nanos) })
+        Ok(OperatorRequest { command: word, at: MonotonicTime::from_nanos(said.at_nanos) })
     };
     Ok(OperatorInput {
-        said: said.first().map(request).transpose()?,
-        heard_at: heard_at_nanos.first().map(|nanos| MonotonicTime::from_nanos(*nanos)),
+        request: said.first().map(request).transpose()?,
+        heartbeat_at: heard_at_nanos.first().map(|nanos| MonotonicTime::from_nanos(*nanos)),
         silent_after: silent_after_nanos.first().map(|nanos| Duration::from_nanos(*nanos)),
     })
 }
@@ -284,16 +291,16 @@ fn mask(png: &[u8]) -> Result<GrayImage> {
 }
 
 /// How a target is marked.
-pub fn of_marking(marking: &Marking) -> Marked {
+pub fn of_marking(marking: &TargetSource) -> Marked {
     let kind = |kind: &str| Marked { kind: kind.to_owned(), ..Marked::default() };
     match marking {
-        Marking::Region(region) => of_region(region),
-        Marking::Outline(points_m) => {
+        TargetSource::Region(region) => of_region(region),
+        TargetSource::Outline(points_m) => {
             let numbers = points_m.iter().flat_map(|point| [point.x, point.y, point.z]).collect();
             Marked { numbers, ..kind("outline") }
         }
-        Marking::Awaited => kind("awaited"),
-        Marking::Nobody => kind("nobody"),
+        TargetSource::FromOperator => kind("awaited"),
+        TargetSource::None => kind("nobody"),
     }
 }
 
@@ -301,14 +308,14 @@ pub fn of_marking(marking: &Marking) -> Marked {
 ///
 /// # Errors
 /// As [`region`].
-pub fn marking(marked: &Marked) -> Result<Marking> {
+pub fn marking(marked: &Marked) -> Result<TargetSource> {
     Ok(match marked.kind.as_str() {
-        "awaited" => Marking::Awaited,
-        "nobody" => Marking::Nobody,
-        "outline" => {
-            Marking::Outline(marked.numbers.chunks_exact(3).map(|xyz| Point3::new(xyz[0], xyz[1], xyz[2])).collect())
-        }
-        _ => Marking::Region(region(marked)?),
+        "awaited" => TargetSource::FromOperator,
+        "nobody" => TargetSource::None,
+        "outline" => TargetSource::Outline(
+            marked.numbers.chunks_exact(3).map(|xyz| Point3::new(xyz[0], xyz[1], xyz[2])).collect(),
+        ),
+        _ => TargetSource::Region(region(marked)?),
     })
 }
 
@@ -369,7 +376,7 @@ mod tests {
     fn a_result_of_a_pair_returns_to_the_last_bit() {
         let at = MonotonicTime::from_nanos(1_234_567_891);
         let covariance = Matrix6::from_fn(|i, j| 1e-7 / (1.0 + i as f64 + 3.0 * j as f64));
-        let seen = Percept {
+        let observed_target = Percept {
             frame: FrameInput { sequence: 7, at, skew_s: -1e-5 },
             estimate: EstimateInput { at, confidence: Confidence::Doubtful, covariance: Some(covariance), target: 3 },
             observation: Some(TargetObservation {
@@ -381,19 +388,19 @@ mod tests {
             }),
             surface_from_model: Some(awkward().relabel()),
         };
-        let noted = |seen: &Percept| {
+        let noted = |observed_target: &Percept| {
             let mut step = ControlStep::default();
-            note_percept(&mut step, seen);
+            note_percept(&mut step, observed_target);
             step
         };
-        let bytes = to_bytes(&noted(&seen));
+        let bytes = to_bytes(&noted(&observed_target));
         let step: ControlStep = from_bytes(&bytes).unwrap();
         let back = percept(&step).unwrap().unwrap();
-        assert_eq!(back.frame, seen.frame);
-        assert_eq!(back.estimate, seen.estimate);
-        assert_eq!(back.observation, seen.observation);
-        assert_eq!(back.surface_from_model, seen.surface_from_model);
-        let blind = Percept { observation: None, ..seen };
+        assert_eq!(back.frame, observed_target.frame);
+        assert_eq!(back.estimate, observed_target.estimate);
+        assert_eq!(back.observation, observed_target.observation);
+        assert_eq!(back.surface_from_model, observed_target.surface_from_model);
+        let blind = Percept { observation: None, ..observed_target };
         assert!(percept(&noted(&blind)).unwrap().unwrap().observation.is_none());
         assert!(percept(&ControlStep::default()).unwrap().is_none());
     }
@@ -409,21 +416,21 @@ mod tests {
             covariance: None,
             observed: [true, true, true, true, true, false],
         };
-        let seen = Percept {
+        let observed_target = Percept {
             frame: FrameInput { sequence: 7, at, skew_s: 0.0 },
             estimate: EstimateInput { at, confidence: Confidence::Sure, covariance: None, target: 3 },
             observation: Some(observation),
             surface_from_model: None,
         };
         let mut step = ControlStep { world_from_target: vec![0.5; 7], ..ControlStep::default() };
-        note_percept(&mut step, &seen);
+        note_percept(&mut step, &observed_target);
         step.observed_directions = Later(Vec::new());
         let bytes = to_bytes(&step);
         // Both lists at the end are empty: four bytes each.
         let before: ControlStep = from_bytes(&bytes[..bytes.len() - 8]).unwrap();
         assert_eq!(before.world_from_target, step.world_from_target);
         let back = percept(&before).unwrap().unwrap();
-        assert_eq!((back.observation, back.surface_from_model), (seen.observation, None));
+        assert_eq!((back.observation, back.surface_from_model), (observed_target.observation, None));
     }
 
     #[test]
@@ -465,12 +472,12 @@ mod tests {
 
     #[test]
     fn commands_of_the_operator_return_and_unknown_ones_are_refused() {
-        let said = |word: &str| [Said { word: word.to_owned(), at_nanos: 5 }];
+        let said = |word: &str| [OperatorEntry { word: word.to_owned(), at_nanos: 5 }];
         for word in OperatorCommand::ALL {
-            let heard = operator_input(&said(word.name()), &[9], &[]).unwrap();
-            let request = heard.said.unwrap();
-            assert_eq!((request.word, request.at.as_nanos()), (word, 5));
-            assert_eq!((heard.heard_at.map(MonotonicTime::as_nanos), heard.silent_after), (Some(9), None));
+            let inputs = operator_input(&said(word.name()), &[9], &[]).unwrap();
+            let request = inputs.request.unwrap();
+            assert_eq!((request.command, request.at.as_nanos()), (word, 5));
+            assert_eq!((inputs.heartbeat_at.map(MonotonicTime::as_nanos), inputs.silent_after), (Some(9), None));
         }
         assert!(operator_input(&said("go"), &[], &[]).unwrap_err().to_string().contains("\"go\""));
     }

@@ -79,13 +79,13 @@ pub struct PairRecording {
 impl PairRecording {
     /// Begins with what does not change. Pairs without a calibration are recorded, too, and those with one that ROS 2 cannot express.
     pub fn new(about: &About, rig: Option<&StereoRig>, sinks: Sinks) -> Self {
-        let told = |error: &CalibrationFileError| {
+        let log_refusal = |error: &CalibrationFileError| {
             tracing::warn!(
                 "the recording has no camera_info: {error}; its topic {} has the calibration",
                 ours::CALIBRATION
             );
         };
-        let infos = rig.and_then(|rig| ros_camera_infos(rig).inspect_err(told).ok());
+        let infos = rig.and_then(|rig| ros_camera_infos(rig).inspect_err(log_refusal).ok());
         let infos = infos.map(|infos| [0, 1].map(|side| camera_info(CAMERAS[side], &infos[side])));
         let mut recording = Self { sinks, since_1970: about.since_1970, infos, exposure: None };
         let zero = MonotonicTime::ZERO;

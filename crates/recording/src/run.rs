@@ -14,9 +14,9 @@ use pb3dp_bag::run_messages::{RunBegin, SetupFile, SetupFiles};
 use pb3dp_bag::sinks::{Finished, Sinks};
 use pb3dp_bag::topics::ours;
 use pb3dp_cell::annotation::polygon_px;
+use pb3dp_cell::estimate_log::{PairEstimate, outline_px};
 use pb3dp_cell::journal::TruePoses;
-use pb3dp_cell::moving::Moved;
-use pb3dp_cell::noting::{PairEstimate, outline_px};
+use pb3dp_cell::moving::StepRecord;
 use pb3dp_cell::parts::Parts;
 use pb3dp_cell::perception::View;
 use pb3dp_cell::selection::{Choice, Selections};
@@ -33,7 +33,7 @@ use crate::estimates::pair_result;
 use crate::exact::{of_change, of_end, of_marking};
 use crate::pairs::{About, BASES, CAMERAS, JOINTS, PairRecording, joint_names, ros_pose};
 use crate::steps::Steps;
-use crate::tap::{Heard, tap};
+use crate::tap::{RunInputs, tap};
 
 /// Frames in transforms and headers.
 const TARGET: &str = "target";
@@ -86,8 +86,8 @@ pub fn record_run(about: &About, setup: &Setup, parts: Parts, to: RecordTo) -> R
             .into_iter()
             .collect(),
     };
-    let heard = Heard { vs: parts.vs, tc: parts.tc, operator: parts.operator };
-    let (recorder, Heard { vs, tc, operator }) = recorder(about, setup, (begin, heard), to)?;
+    let inputs = RunInputs { vs: parts.vs, tc: parts.tc, operator: parts.operator };
+    let (recorder, RunInputs { vs, tc, operator }) = recorder(about, setup, (begin, inputs), to)?;
     let mut spectators = parts.spectators;
     spectators.push(recorder);
     Ok(Parts { vs, tc, operator, spectators, ..parts })
@@ -100,12 +100,12 @@ pub fn record_run(about: &About, setup: &Setup, parts: Parts, to: RecordTo) -> R
 pub(crate) fn recorder(
     about: &About,
     setup: &Setup,
-    (begin, heard): (RunBegin, Heard),
+    (begin, inputs): (RunBegin, RunInputs),
     to: RecordTo,
-) -> Result<(Box<dyn Spectator>, Heard)> {
-    let (heard, events) = tap(heard);
+) -> Result<(Box<dyn Spectator>, RunInputs)> {
+    let (inputs, events) = tap(inputs);
     let recording = RunRecording::new(about, setup, (begin, Steps::new(events)), to)?;
-    Ok((Box::new(recording), heard))
+    Ok((Box::new(recording), inputs))
 }
 
 impl RunRecording {
@@ -137,10 +137,10 @@ impl RunRecording {
     }
 
     /// Records the images of a pair, and those on which the operator drew, if they are older.
-    fn images(&mut self, seen: &PairEstimate) {
-        let View::Images(pair) = &seen.captured.view else { return };
+    fn images(&mut self, pair_estimate: &PairEstimate) {
+        let View::Images(pair) = &pair_estimate.captured.view else { return };
         self.pairs.images(pair);
-        if let Some(Choice::Marked(selection)) = &seen.chosen
+        if let Some(Choice::Marked(selection)) = &pair_estimate.chosen
             && let Some(drawn_on) = &selection.drawn_on
             && drawn_on.sequence != pair.sequence
         {
@@ -149,17 +149,17 @@ impl RunRecording {
     }
 
     /// Records the estimate of a pair for other programs.
-    fn estimate(&mut self, seen: &PairEstimate) {
-        let at = seen.captured.frame.at;
-        if let Some(region) = &seen.region {
-            let corners = polygon_px(&outline_px(region.clone(), &seen.estimate));
+    fn estimate(&mut self, pair_estimate: &PairEstimate) {
+        let at = pair_estimate.captured.frame.at;
+        if let Some(region) = &pair_estimate.region {
+            let corners = polygon_px(&outline_px(region.clone(), &pair_estimate.estimate));
             let points = corners.iter().map(|[u, v]| Point32 { x: *u as f32, y: *v as f32, z: 0.0 }).collect();
             let header = self.pairs.header(at, CAMERAS[0]);
             self.pairs.push(ours::REGION, at, &PolygonStamped { header, polygon: Polygon { points } });
         }
-        self.status(seen, at);
-        if let Some(found) = &seen.estimate.cam_left_from_model {
-            let covariance = seen.estimate.pose_covariance.map_or([0.0; 36], |c| in_camera_axes(found, &c));
+        self.status(pair_estimate, at);
+        if let Some(found) = &pair_estimate.estimate.cam_left_from_model {
+            let covariance = pair_estimate.estimate.pose_covariance.map_or([0.0; 36], |c| in_camera_axes(found, &c));
             let pose = PoseWithCovariance { pose: ros_pose(found), covariance };
             let header = self.pairs.header(at, CAMERAS[0]);
             self.pairs.push(ours::POSE, at, &PoseWithCovarianceStamped { header, pose });
@@ -167,14 +167,14 @@ impl RunRecording {
             // Written after the newest step, whose transform is on the same topic: some viewers read a topic in the order of its log times.
             self.pairs.push(ours::TF, at.max(self.last_at), &Transforms { transforms });
         }
-        if let Some(truth) = &seen.captured.cam_left_from_target {
+        if let Some(truth) = &pair_estimate.captured.cam_left_from_target {
             let header = self.pairs.header(at, CAMERAS[0]);
             self.pairs.push(ours::TRUTH, at, &PoseStamped { header, pose: ros_pose(truth) });
         }
     }
 
     /// Records a control step for other programs.
-    fn step(&mut self, step: &Moved) {
+    fn step(&mut self, step: &StepRecord) {
         let at = step.at;
         for (side, (measured, commanded)) in JOINTS.into_iter().zip(COMMANDS).enumerate() {
             let (arm, names) = (&step.arms[side], &self.joint_names[side]);
@@ -205,8 +205,8 @@ impl RunRecording {
         }
     }
 
-    fn status(&mut self, seen: &PairEstimate, at: MonotonicTime) {
-        let estimate = &seen.estimate;
+    fn status(&mut self, pair_estimate: &PairEstimate, at: MonotonicTime) {
+        let estimate = &pair_estimate.estimate;
         let level = match estimate.status {
             Status::Ok => 0,
             Status::Miscalibrated | Status::Lost | Status::NotObservable => 2,
@@ -214,9 +214,9 @@ impl RunRecording {
         };
         let mut values = vec![
             ("status", estimate.status.to_string()),
-            ("target", seen.target.to_string()),
-            ("latency_ms", format!("{:.3}", seen.latency_millis)),
-            ("age_ms", format!("{:.3}", seen.age_millis)),
+            ("target", pair_estimate.target.to_string()),
+            ("latency_ms", format!("{:.3}", pair_estimate.latency_millis)),
+            ("age_ms", format!("{:.3}", pair_estimate.age_millis)),
         ];
         values.extend(estimate.fitness.map(|fitness| ("fitness", fitness.to_string())));
         values.extend(
@@ -243,14 +243,14 @@ impl Spectator for RunRecording {
         self.pairs.push(ours::BEGIN, MonotonicTime::ZERO, &self.begin);
     }
 
-    fn seen(&mut self, seen: &PairEstimate) {
-        self.images(seen);
-        self.estimate(seen);
-        self.pairs.push(ours::PAIRS, seen.captured.frame.at, &pair_result(seen));
+    fn estimated(&mut self, pair_estimate: &PairEstimate) {
+        self.images(pair_estimate);
+        self.estimate(pair_estimate);
+        self.pairs.push(ours::PAIRS, pair_estimate.captured.frame.at, &pair_result(pair_estimate));
         self.report_failure();
     }
 
-    fn moved(&mut self, step: &Moved, poses: Option<TruePoses>) {
+    fn moved(&mut self, step: &StepRecord, poses: Option<TruePoses>) {
         self.last_at = step.at;
         self.step(step);
         if let Some(message) = self.steps.finished(step, poses.as_ref()) {

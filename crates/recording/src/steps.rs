@@ -1,9 +1,9 @@
 //! Control steps as messages, from what the control thread has heard.
 
-use pb3dp_bag::run_messages::{ArmCall, ArmChange, ControlStep, Said};
+use pb3dp_bag::run_messages::{ArmCall, ArmChange, ControlStep, OperatorEntry};
 use pb3dp_bag::stops::of_pose;
 use pb3dp_cell::journal::TruePoses;
-use pb3dp_cell::moving::Moved;
+use pb3dp_cell::moving::StepRecord;
 use pb3dp_cell::operator::MotionRequest;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{EnablePosition, JointCommand, JointState, PowerOrder};
@@ -11,7 +11,7 @@ use pb3dp_servo::supervisor::OperatorInput;
 use rtrb::Consumer;
 
 use crate::exact::{note_percept, of_failure, of_pose_if_any, of_state};
-use crate::tap::{Answer, Call, Event, Told};
+use crate::tap::{Answer, ArmReport, Call, Event};
 
 /// Gathers the events of each step.
 pub struct Steps {
@@ -41,7 +41,7 @@ impl Steps {
     }
 
     /// The finished step; none if its begin is missing.
-    pub fn finished(&mut self, moved: &Moved, poses: Option<&TruePoses>) -> Option<ControlStep> {
+    pub fn finished(&mut self, moved: &StepRecord, poses: Option<&TruePoses>) -> Option<ControlStep> {
         self.gather();
         let mut step = self.open.take()?;
         self.number = moved.number + 1;
@@ -87,13 +87,13 @@ impl Steps {
 
     fn take(&mut self, event: Event) {
         match (event, &mut self.open) {
-            (Event::Enabled { arm, joints, told: (state, by_other) }, _) => {
+            (Event::Enabled { arm, joints, reported: (state, by_other) }, _) => {
                 self.before.push(measured(arm, &joints));
-                let told = [Told::State(state), Told::StoppedByOther(by_other)];
-                self.states_before.extend(told.map(|told| change(arm, 0, told)));
+                let reported = [ArmReport::State(state), ArmReport::StoppedByOther(by_other)];
+                self.states_before.extend(reported.map(|reported| change(arm, 0, reported)));
             }
-            (Event::Listened { now, heard, carries_before_start, lost }, _) => {
-                let mut step = self.begun(now, &heard, carries_before_start, lost);
+            (Event::Listened { now, inputs, carries_before_start, lost }, _) => {
+                let mut step = self.begun(now, &inputs, carries_before_start, lost);
                 step.calls.append(&mut self.before);
                 step.changes.append(&mut self.states_before);
                 self.open = Some(step);
@@ -105,9 +105,9 @@ impl Steps {
                     step.hand_from_hand_shifted = of_pose(&motion.hand_from_hand_shifted);
                 }
             }
-            (Event::Changed { arm, query, told }, Some(step)) => {
+            (Event::Changed { arm, query, reported }, Some(step)) => {
                 // Changes and calls of an arm have one order.
-                step.changes.push(ArmChange { after: calls_of(step, arm), ..change(arm, query, told) });
+                step.changes.push(ArmChange { after: calls_of(step, arm), ..change(arm, query, reported) });
             }
             (Event::Called { arm, call, answer }, Some(step)) => step.calls.push(call_message(arm, call, answer)),
             // After the last step the arms are stopped. In a run, the begin of their step found the ring full.
@@ -115,17 +115,17 @@ impl Steps {
         }
     }
 
-    fn begun(&self, now: MonotonicTime, heard: &OperatorInput, carries_before_start: bool, lost: u32) -> ControlStep {
-        let said = |request: pb3dp_servo::supervisor::OperatorRequest| Said {
-            word: request.word.name().to_owned(),
+    fn begun(&self, now: MonotonicTime, inputs: &OperatorInput, carries_before_start: bool, lost: u32) -> ControlStep {
+        let said = |request: pb3dp_servo::supervisor::OperatorRequest| OperatorEntry {
+            word: request.command.name().to_owned(),
             at_nanos: request.at.as_nanos(),
         };
         ControlStep {
             at_nanos: now.as_nanos(),
             lost,
-            said: heard.said.map(said).into_iter().collect(),
-            heard_at_nanos: heard.heard_at.map(MonotonicTime::as_nanos).into_iter().collect(),
-            silent_after_nanos: heard
+            said: inputs.request.map(said).into_iter().collect(),
+            heard_at_nanos: inputs.heartbeat_at.map(MonotonicTime::as_nanos).into_iter().collect(),
+            silent_after_nanos: inputs
                 .silent_after
                 .map(|silence| u64::try_from(silence.as_nanos()).unwrap_or(u64::MAX))
                 .into_iter()
@@ -142,11 +142,11 @@ fn calls_of(step: &ControlStep, arm: u8) -> u32 {
     step.calls.iter().filter(|call| call.arm == arm).count() as u32
 }
 
-fn change(arm: u8, query: u32, told: Told) -> ArmChange {
-    let state = match told {
-        Told::State(state) => of_state(state),
-        Told::StoppedByOther(true) => "stopped by other",
-        Told::StoppedByOther(false) => "not stopped by other",
+fn change(arm: u8, query: u32, reported: ArmReport) -> ArmChange {
+    let state = match reported {
+        ArmReport::State(state) => of_state(state),
+        ArmReport::StoppedByOther(true) => "stopped by other",
+        ArmReport::StoppedByOther(false) => "not stopped by other",
     };
     ArmChange { arm, after: 0, query, state: state.to_owned() }
 }
@@ -164,7 +164,7 @@ fn measured(arm: u8, joints: &JointState) -> ArmCall {
 }
 
 /// The word for a call.
-pub fn call_word(call: &Call) -> &'static str {
+pub fn call_name(call: &Call) -> &'static str {
     match call {
         Call::Exchange(JointCommand::Velocity(_)) => "move",
         Call::Exchange(JointCommand::Hold) => "hold",
@@ -191,5 +191,5 @@ fn call_message(arm: u8, call: Call, answer: Answer) -> ArmCall {
         Answer::Failed(kind) => outcome(of_failure(*kind)),
         Answer::Measured(joints) => measured(arm, joints),
     };
-    ArmCall { call: call_word(&call).to_owned(), command_rad_per_s, ..answered }
+    ArmCall { call: call_name(&call).to_owned(), command_rad_per_s, ..answered }
 }

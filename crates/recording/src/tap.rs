@@ -1,4 +1,4 @@
-//! Everything that the thread which moves the arms hears, for the recording: answers and states of the arms, words of the operator.
+//! Everything that the thread which moves the arms receives, for the recording: answers and states of the arms, commands of the operator.
 //!
 //! Wrappers of both arms and of the operator put it into a ring of fixed size, which [`crate::steps`] empties on another thread. No
 //! method of a wrapper waits or allocates; what finds the ring full is counted and left out.
@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex};
 use std::task::Poll;
 
 use pb3dp_cell::operator::{MotionRequest, Operator};
-use pb3dp_cell::parts::DrivenArm;
+use pb3dp_cell::parts::ArmControl;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand, JointState, PowerOrder};
 use pb3dp_hal_middleware::LimiterStatistics;
@@ -18,17 +18,17 @@ use rtrb::{Consumer, Producer, RingBuffer};
 /// Events that wait for the recording: a second of control steps at 500 Hz.
 const EVENTS_MAX: usize = 4096;
 
-/// Something that the control thread has heard.
+/// Something that the control thread has received.
 #[derive(Clone, Copy, Debug)]
 pub enum Event {
     /// An arm before the first step: its last measurement, its state, and whether it is stopped by the other arm.
-    Enabled { arm: u8, joints: JointState, told: (ArmState, bool) },
+    Enabled { arm: u8, joints: JointState, reported: (ArmState, bool) },
     /// A control step has begun.
-    Listened { now: MonotonicTime, heard: OperatorInput, carries_before_start: bool, lost: u32 },
+    Listened { now: MonotonicTime, inputs: OperatorInput, carries_before_start: bool, lost: u32 },
     /// How the hand shall move in this step.
     Asked(MotionRequest),
     /// An arm tells another state than before.
-    Changed { arm: u8, query: u32, told: Told },
+    Changed { arm: u8, query: u32, reported: ArmReport },
     /// The control step has come to its end.
     Ended,
     /// An arm was called.
@@ -37,7 +37,7 @@ pub enum Event {
 
 /// What an arm tells of itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Told {
+pub enum ArmReport {
     /// State of drives and brakes.
     State(ArmState),
     /// Whether it is latched only because the other arm stopped.
@@ -74,13 +74,13 @@ struct Tap {
     arms: [Before; 2],
 }
 
-/// What an arm has told last.
+/// The last report of an arm.
 #[derive(Clone, Copy, Debug)]
 struct Before {
     /// Last measurement before the first step.
     measured: Option<JointState>,
     /// Its state, and whether it is stopped by the other arm.
-    told: (ArmState, bool),
+    reported: (ArmState, bool),
 }
 
 impl Tap {
@@ -104,29 +104,29 @@ impl SharedTap {
 }
 
 /// The parts of a run that the control thread hears.
-pub struct Heard {
+pub struct RunInputs {
     /// The arm that carries the cameras.
-    pub vs: Box<dyn DrivenArm>,
+    pub vs: Box<dyn ArmControl>,
     /// The arm that carries the target.
-    pub tc: Box<dyn DrivenArm>,
+    pub tc: Box<dyn ArmControl>,
     /// The operator.
     pub operator: Box<dyn Operator>,
 }
 
 /// Wraps both arms and the operator of a run; returns the other end of the ring.
-pub fn tap(heard: Heard) -> (Heard, Consumer<Event>) {
+pub fn tap(inputs: RunInputs) -> (RunInputs, Consumer<Event>) {
     let (events, other_end) = RingBuffer::new(EVENTS_MAX);
-    let before = Before { measured: None, told: (ArmState::Disabled, false) };
+    let before = Before { measured: None, reported: (ArmState::Disabled, false) };
     let tap = SharedTap(Arc::new(Mutex::new(Tap { events, lost: 0, has_begun: false, arms: [before; 2] })));
     let tapped = |inner, number| Box::new(TappedArm { inner, tap: tap.clone(), number, queries: Cell::new(0) });
-    let (vs, tc) = (tapped(heard.vs, 0), tapped(heard.tc, 1));
-    let operator = Box::new(TappedOperator { inner: heard.operator, tap: tap.clone(), asked: Cell::default() });
-    (Heard { vs, tc, operator }, other_end)
+    let (vs, tc) = (tapped(inputs.vs, 0), tapped(inputs.tc, 1));
+    let operator = Box::new(TappedOperator { inner: inputs.operator, tap: tap.clone(), asked: Cell::default() });
+    (RunInputs { vs, tc, operator }, other_end)
 }
 
 /// An arm whose answers are recorded.
 struct TappedArm {
-    inner: Box<dyn DrivenArm>,
+    inner: Box<dyn ArmControl>,
     tap: SharedTap,
     number: u8,
     /// Queries since the last call.
@@ -134,17 +134,17 @@ struct TappedArm {
 }
 
 impl TappedArm {
-    fn told(&self, told: Told) {
+    fn reported(&self, reported: ArmReport) {
         let (arm, query) = (self.number, self.queries.get());
         self.queries.set(query + 1);
         self.tap.with(|tap| {
-            let before = &mut tap.arms[usize::from(arm)].told;
-            let now = match told {
-                Told::State(state) => (state, before.1),
-                Told::StoppedByOther(is) => (before.0, is),
+            let before = &mut tap.arms[usize::from(arm)].reported;
+            let now = match reported {
+                ArmReport::State(state) => (state, before.1),
+                ArmReport::StoppedByOther(is) => (before.0, is),
             };
             if std::mem::replace(before, now) != now && tap.has_begun {
-                tap.push(Event::Changed { arm, query, told });
+                tap.push(Event::Changed { arm, query, reported });
             }
         });
     }
@@ -156,12 +156,12 @@ impl TappedArm {
         meaning: impl FnOnce(&T) -> Answer,
     ) -> Result<T, ArmError> {
         self.queries.set(0);
-        let told = match &answer {
+        let reported = match &answer {
             Ok(answer) => meaning(answer),
             Err(error) => Answer::Failed(error.kind()),
         };
-        self.tap.with(|tap| match told {
-            _ if tap.has_begun => tap.push(Event::Called { arm: self.number, call, answer: told }),
+        self.tap.with(|tap| match reported {
+            _ if tap.has_begun => tap.push(Event::Called { arm: self.number, call, answer: reported }),
             Answer::Measured(joints) => tap.arms[usize::from(self.number)].measured = Some(joints),
             _ => {}
         });
@@ -183,13 +183,13 @@ impl Arm for TappedArm {
 impl ArmPower for TappedArm {
     fn state(&self) -> ArmState {
         let state = self.inner.state();
-        self.told(Told::State(state));
+        self.reported(ArmReport::State(state));
         state
     }
 
     fn is_stopped_by_other(&self) -> bool {
         let is = self.inner.is_stopped_by_other();
-        self.told(Told::StoppedByOther(is));
+        self.reported(ArmReport::StoppedByOther(is));
         is
     }
 
@@ -200,7 +200,7 @@ impl ArmPower for TappedArm {
     }
 }
 
-impl DrivenArm for TappedArm {
+impl ArmControl for TappedArm {
     fn statistics(&self) -> LimiterStatistics {
         self.inner.statistics()
     }
@@ -215,23 +215,23 @@ struct TappedOperator {
 
 impl Operator for TappedOperator {
     fn listen(&mut self, last: Option<&Decision>, now: MonotonicTime) -> OperatorInput {
-        let heard = self.inner.listen(last, now);
+        let inputs = self.inner.listen(last, now);
         let carries_before_start = self.inner.carries_before_start();
         self.tap.with(|tap| {
             if !std::mem::replace(&mut tap.has_begun, true) {
-                for (arm, Before { measured, told }) in [0, 1].into_iter().zip(tap.arms) {
-                    measured.into_iter().for_each(|joints| tap.push(Event::Enabled { arm, joints, told }));
+                for (arm, Before { measured, reported }) in [0, 1].into_iter().zip(tap.arms) {
+                    measured.into_iter().for_each(|joints| tap.push(Event::Enabled { arm, joints, reported }));
                 }
             }
             let lost = tap.lost;
-            let event = Event::Listened { now, heard, carries_before_start, lost };
+            let event = Event::Listened { now, inputs, carries_before_start, lost };
             if tap.events.push(event).is_ok() {
                 tap.lost = 0;
             } else {
                 tap.lost = tap.lost.saturating_add(1);
             }
         });
-        heard
+        inputs
     }
 
     fn show(&mut self, decision: &Decision) {

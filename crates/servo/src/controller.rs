@@ -239,8 +239,8 @@ impl Controller {
 
     /// Stores the command that the arm actually received. After a hold the hand starts softly again: from rest, or after a short one
     /// that keeps the target from the measured speed. The joint motion is predicted from the actual commands.
-    pub fn note_told(&mut self, told: Command) {
-        let velocity_rad_per_s = match told {
+    pub fn set_executed_command(&mut self, executed: Command) {
+        let velocity_rad_per_s = match executed {
             Command::Velocity(velocity) => velocity,
             Command::Hold => {
                 self.pace.hold(self.stepped_at);
@@ -261,7 +261,7 @@ impl Controller {
                 self.resting(Mode::Holding(reason), base_from_model, now)
             }
         };
-        self.note_told(step.command);
+        self.set_executed_command(step.command);
         step
     }
 

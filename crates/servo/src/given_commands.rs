@@ -102,10 +102,10 @@ mod tests {
                 foretold = Some(state);
             }
             // From now on the command is zero.
-            let told = if micros - delay_micros < now { command_at(micros - delay_micros) } else { 0.0 };
+            let executed = if micros - delay_micros < now { command_at(micros - delay_micros) } else { 0.0 };
             let dt = dt_micros as f64 * 1e-6;
-            let next = told + (velocity - told) * (-dt / ARM.lag_s).exp();
-            position += told * dt - ARM.lag_s * (next - velocity);
+            let next = executed + (velocity - executed) * (-dt / ARM.lag_s).exp();
+            position += executed * dt - ARM.lag_s * (next - velocity);
             velocity = next;
             micros += dt_micros;
         }

@@ -25,17 +25,17 @@ pub(crate) struct HeldDirections {
 }
 
 impl HeldDirections {
-    /// An observation of the pose `seen`, with the last pose along the directions that it does not show; `predicted`: what is
+    /// An observation of the pose `measured`, with the last pose along the directions that it does not show; `predicted`: what is
     /// expected at its time.
     pub(crate) fn complete(
         &self,
-        seen: &Pose<Base, Model>,
+        measured: &Pose<Base, Model>,
         predicted: Option<&Pose<Base, Model>>,
         observation: &TargetObservation,
     ) -> (Pose<Base, Model>, Option<Matrix6<f64>>) {
         let last = self.base_from_model.filter(|_| observation.observed.contains(&false));
         let spin_of = self.spin_of.filter(|_| !observation.observed[5]);
-        let used = last.map_or(*seen, |last| keep_unseen(&last, spin_of.as_ref(), seen, &observation.observed));
+        let used = last.map_or(*measured, |last| keep_unseen(&last, spin_of.as_ref(), measured, &observation.observed));
         let Some((mut covariance, last)) = observation.covariance.zip(last) else {
             return (used, observation.covariance);
         };
@@ -56,21 +56,22 @@ impl HeldDirections {
     }
 }
 
-/// The pose `seen`, with place and turn of `last` along the axes of `model` that are not observed, and the turn about the normal of `spin_of`.
+/// The pose `measured`, with place and turn of `last` along the axes of `model` that are not observed, and the turn about the normal of `spin_of`.
 fn keep_unseen(
     last: &Pose<Base, Model>,
     spin_of: Option<&Pose<Base, Model>>,
-    seen: &Pose<Base, Model>,
+    measured: &Pose<Base, Model>,
     observed: &[bool; 6],
 ) -> Pose<Base, Model> {
-    let shift = last.inverse().transform_vector(&(seen.translation_m() - last.translation_m()));
+    let shift = last.inverse().transform_vector(&(measured.translation_m() - last.translation_m()));
     let place = last.translation_m() + last.transform_vector(&shown(shift, &observed[..3]));
     // A turn about the normal may be any: the rest of the rotation is the smallest one between the normals.
     let normal = |pose: &Pose<Base, Model>| pose.transform_vector(&Vector3::z());
-    let turned = spin_of
-        .and_then(|known| Some(UnitQuaternion::rotation_between(&normal(known), &normal(seen))? * known.rotation()));
+    let turned = spin_of.and_then(|known| {
+        Some(UnitQuaternion::rotation_between(&normal(known), &normal(measured))? * known.rotation())
+    });
     // Without a turn the normal points the other way: the observation contradicts what is known, and the filter ignores it.
-    let tilted = turned.unwrap_or_else(|| seen.rotation());
+    let tilted = turned.unwrap_or_else(|| measured.rotation());
     let turn = (last.rotation().inverse() * tilted).scaled_axis();
     Pose::from_parts(
         place,
@@ -106,10 +107,10 @@ mod tests {
 
     fn used(
         held: &mut HeldDirections,
-        seen: &Pose<Base, Model>,
+        measured: &Pose<Base, Model>,
         observation: &TargetObservation,
     ) -> (Pose<Base, Model>, Option<Matrix6<f64>>) {
-        let (pose, covariance) = held.complete(seen, None, observation);
+        let (pose, covariance) = held.complete(measured, None, observation);
         held.keep(&pose, observation);
         (pose, covariance)
     }
@@ -128,8 +129,8 @@ mod tests {
                 let shift = Vector3::new(0.01, -0.02, 0.015) * step;
                 // Turns about several axes do not add up, so one at a time.
                 let turn = Vector3::ith(axis % 3, 0.02 * step);
-                let seen = Pose::from_parts(shift, UnitQuaternion::from_scaled_axis(turn));
-                let (pose, covariance) = used(&mut held, &(first * seen), &observation(observed));
+                let measured = Pose::from_parts(shift, UnitQuaternion::from_scaled_axis(turn));
+                let (pose, covariance) = used(&mut held, &(first * measured), &observation(observed));
                 let moved = first.inverse() * pose;
                 assert!((moved.translation_m() - shown(shift, &observed[..3])).norm() < 1e-9, "{axis}: {moved:?}");
                 assert!(
@@ -175,9 +176,9 @@ mod tests {
         let hidden = observation([true, true, true, true, true, false]);
         for _ in 0..10_000 {
             let tilt = Vector3::new(random.between(-0.1, 0.1), random.between(-0.1, 0.1), random.between(-0.5, 0.5));
-            let seen =
+            let measured =
                 Pose::from_parts(first.translation_m(), first.rotation() * UnitQuaternion::from_scaled_axis(tilt));
-            used(&mut held, &seen, &hidden);
+            used(&mut held, &measured, &hidden);
         }
         let (pose, _) = used(&mut held, &first, &hidden);
         assert!(pose.rotation().angle_to(&first.rotation()) < 1e-6, "{pose:?}");

@@ -132,8 +132,8 @@ mod tests {
         let mut late = LateImages::default();
         let look = |frame: u32| {
             let t_s = 1.0 + f64::from(frame) / 30.0;
-            let seen = target(t_s - late_s) - hand(t_s - late_s);
-            let places = DELAYS_S.map(|delay_s| Vector3::new(0.1, seen + hand(t_s - delay_s), 0.5));
+            let apparent = target(t_s - late_s) - hand(t_s - late_s);
+            let places = DELAYS_S.map(|delay_s| Vector3::new(0.1, apparent + hand(t_s - delay_s), 0.5));
             late.take(MonotonicTime::from_secs_f64(t_s), Some(places));
             late.delay_s().map(|delay_s| (delay_s, t_s))
         };
@@ -173,8 +173,8 @@ mod tests {
     fn a_target_that_the_hand_follows_shows_none() {
         for (amplitude, rate) in [(0.05, 1.57), (0.1, 2.0), (0.1, 3.1)] {
             let target = move |t_s: f64| amplitude * (1.0 - (rate * (t_s - 1.3f64).max(0.0)).cos());
-            let seen = found(0.0, behind(target, 1.0, 0.03, 0.03), target);
-            assert!(seen.is_empty(), "{amplitude} m, {rate} rad/s: {seen:?}");
+            let apparent = found(0.0, behind(target, 1.0, 0.03, 0.03), target);
+            assert!(apparent.is_empty(), "{amplitude} m, {rate} rad/s: {apparent:?}");
         }
     }
 
@@ -201,8 +201,8 @@ mod tests {
         for (amplitude, rate) in targets.into_iter().cycle().take(270) {
             let target = move |t_s: f64| amplitude * (1.0 - (rate * (t_s - 1.3f64).max(0.0)).cos());
             let hand = behind(target, within(0.8, 1.0), within(0.01, 0.13), within(0.01, 0.08));
-            let seen = found(0.0, hand, target).len();
-            (count, longest) = (count + usize::from(seen > 0), longest.max(seen));
+            let apparent = found(0.0, hand, target).len();
+            (count, longest) = (count + usize::from(apparent > 0), longest.max(apparent));
         }
         println!("{count} of 270, for at most {longest} observations");
         assert!(count <= 10 && longest <= 6, "{count} of 270, for at most {longest} observations");

@@ -15,7 +15,7 @@ mod log;
 mod policy;
 mod stall;
 pub mod table;
-mod words;
+mod wording;
 
 use pb3dp_geometry::MonotonicTime;
 
@@ -29,7 +29,7 @@ pub use self::policy::{
     Action, Condition, ConditionSet, Policies, Policy, Resume, Rule, SupervisorConfig, SupervisorError, ThresholdRule,
 };
 pub use self::table::{Event, Order, Outcome, State};
-pub use self::words::{Refusal, RefusedFor, Then, Why};
+pub use self::wording::{Refusal, RefusedFor, Then, Why};
 
 use self::findings::Findings;
 use self::stall::{Stalls, is_only_stalled};
@@ -95,16 +95,16 @@ pub struct Supervisor {
     /// Time since which no condition inhibits motion.
     clear_since: Option<MonotonicTime>,
     /// The last condition that inhibited motion since the target was selected.
-    spoke: Option<Cause>,
+    last_inhibit: Option<Cause>,
     /// The operator has commanded a hold since the last motion.
     held_by_operator: bool,
     /// The arm that carries the target also waits for `start` or `resume`: the operator has commanded `hold`, or a condition that holds
     /// every arm needs the operator.
     holds_every_arm: bool,
     /// A condition since the last motion needs the operator's `resume`.
-    needs_word: bool,
+    needs_operator: bool,
     /// The same, for conditions that a lost target does not cause.
-    needs_word_for_more: bool,
+    needs_operator_beyond_loss: bool,
     /// State of the search for the target since the last motion.
     search: SearchRight,
     stalls: Stalls,
@@ -126,11 +126,11 @@ impl Supervisor {
             findings: Findings::new(),
             cause: None,
             clear_since: None,
-            spoke: None,
+            last_inhibit: None,
             held_by_operator: false,
             holds_every_arm: false,
-            needs_word: false,
-            needs_word_for_more: false,
+            needs_operator: false,
+            needs_operator_beyond_loss: false,
             search: SearchRight::Unused,
             stalls: Stalls::default(),
             log: TransitionLog::new(),
@@ -159,13 +159,13 @@ impl Supervisor {
             (None, _) => Some(now),
             (Some(_), _) => None,
         };
-        self.spoke = blocking.or(self.spoke);
-        let said = inputs.operator.said;
-        let word = said.map(|said| (said.word, self.refusal(said, blocking, now)));
-        let transition = self.change(inputs, word, now);
+        self.last_inhibit = blocking.or(self.last_inhibit);
+        let request = inputs.operator.request;
+        let command = request.map(|request| (request.command, self.refusal(request, blocking, now)));
+        let transition = self.change(inputs, command, now);
         if matches!(transition, Some((Event::Hold, _))) {
             // Conditions from before did not cause this hold.
-            self.spoke = blocking;
+            self.last_inhibit = blocking;
         }
         let rearm = transition.is_some_and(|(_, order)| order != Order::None);
         let mut blocking = blocking;
@@ -180,7 +180,8 @@ impl Supervisor {
         }
         let found = self.note(now);
         let search = self.permits_search(now);
-        let refused = word.and_then(|(word, refused)| self.refused(word, refused, transition.map(|(event, _)| event)));
+        let refused =
+            command.and_then(|(command, refused)| self.refused(command, refused, transition.map(|(event, _)| event)));
         Decision {
             permission: self.permission(inputs, search, now),
             state: self.state,
@@ -224,14 +225,14 @@ impl Supervisor {
     fn change(
         &mut self,
         inputs: &Inputs,
-        word: Option<(OperatorCommand, Option<RefusedFor>)>,
+        command: Option<(OperatorCommand, Option<RefusedFor>)>,
         now: MonotonicTime,
     ) -> Option<(Event, Order)> {
         let alarm = self.alarm(now);
         let of_alarm =
             |wanted: Event| alarm.filter(|(event, _)| *event == wanted).map(|(event, cause)| (event, Some(cause)));
-        let obeyed = word.filter(|(_, refused)| refused.is_none()).map(|(word, _)| word);
-        let said = |wanted: OperatorCommand| (obeyed == Some(wanted)).then_some((event_of(wanted), None));
+        let obeyed = command.filter(|(_, refused)| refused.is_none()).map(|(command, _)| command);
+        let commanded = |wanted: OperatorCommand| (obeyed == Some(wanted)).then_some((event_of(wanted), None));
         if matches!(obeyed, Some(OperatorCommand::Hold | OperatorCommand::HoldHand)) {
             self.held_by_operator = true;
             self.holds_every_arm |= obeyed == Some(OperatorCommand::Hold);
@@ -241,18 +242,18 @@ impl Supervisor {
         }
         let candidates = [
             of_alarm(Event::FaultFound),
-            said(OperatorCommand::Stop),
+            commanded(OperatorCommand::Stop),
             of_alarm(Event::StopFound),
-            said(OperatorCommand::Hold),
-            said(OperatorCommand::HoldHand),
+            commanded(OperatorCommand::Hold),
+            commanded(OperatorCommand::HoldHand),
             of_alarm(Event::LossFound),
             self.stall(inputs, alarm, now),
             of_alarm(Event::HoldFound),
-            said(OperatorCommand::Select),
-            said(OperatorCommand::Start),
-            said(OperatorCommand::Resume),
-            said(OperatorCommand::Realign),
-            said(OperatorCommand::Reset),
+            commanded(OperatorCommand::Select),
+            commanded(OperatorCommand::Start),
+            commanded(OperatorCommand::Resume),
+            commanded(OperatorCommand::Realign),
+            commanded(OperatorCommand::Reset),
             self.by_itself(inputs).map(|event| (event, None)),
         ];
         for (event, cause) in candidates.into_iter().flatten() {
@@ -283,7 +284,7 @@ impl Supervisor {
         now: MonotonicTime,
     ) -> Option<(Event, Option<Cause>)> {
         let is_stalled = !self.held_by_operator
-            && !self.needs_word
+            && !self.needs_operator
             && is_only_stalled(&self.findings, &self.config.policies, inputs);
         if self.stalls.since.is_none() {
             let (event, cause) = alarm?;
@@ -300,7 +301,8 @@ impl Supervisor {
 
     /// Automatic transitions.
     fn by_itself(&self, inputs: &Inputs) -> Option<Event> {
-        let may_resume = !self.held_by_operator && !self.needs_word && self.clear_for_s() >= self.config.resume_after_s;
+        let may_resume =
+            !self.held_by_operator && !self.needs_operator && self.clear_for_s() >= self.config.resume_after_s;
         match (self.state, inputs.controller) {
             (State::Approaching, Mode::Tracking) => Some(Event::Reached),
             (State::Tracking, Mode::Approaching) => Some(Event::Left),
@@ -314,8 +316,8 @@ impl Supervisor {
         let Transition { at, to, event, cause, .. } = transition;
         if !to.is_resting() {
             self.held_by_operator = false;
-            self.needs_word = false;
-            self.needs_word_for_more = false;
+            self.needs_operator = false;
+            self.needs_operator_beyond_loss = false;
             self.search = SearchRight::Unused;
         }
         if matches!(event, Event::Start | Event::Resume) {
@@ -325,7 +327,7 @@ impl Supervisor {
         match event {
             Event::Select => {
                 self.findings.begin(at);
-                self.spoke = None;
+                self.last_inhibit = None;
             }
             Event::Start => self.findings.start(),
             Event::StallFound => self.stalls.since = Some(at),
@@ -339,8 +341,8 @@ impl Supervisor {
 
     /// Whether a reset is passed on to the arms: the state is latched, and the command neither too old nor older than the state.
     /// A fault or an emergency stop of an arm does not prevent it.
-    pub fn would_reset(&self, said: OperatorRequest, now: MonotonicTime) -> bool {
-        said.word == OperatorCommand::Reset && self.state.is_latched() && self.untimely(said, now).is_none()
+    pub fn would_reset(&self, request: OperatorRequest, now: MonotonicTime) -> bool {
+        request.command == OperatorCommand::Reset && self.state.is_latched() && self.untimely(request, now).is_none()
     }
 
     /// Returns the active conditions, and stores whether one of them needs the operator's `resume`.
@@ -352,10 +354,10 @@ impl Supervisor {
         for (cause, action) in self.findings.lasting(&self.config.policies, now) {
             found.insert(cause.condition);
             let resume = self.config.policies.get(cause.condition).resume;
-            let needs_word = self.state.is_resting() && action.is_rest() && resume == Resume::ByOperator;
-            self.needs_word |= needs_word;
-            self.holds_every_arm |= needs_word && cause.condition.rule().holds_every_arm;
-            self.needs_word_for_more |= needs_word && !comes_with_loss(cause.condition);
+            let needs_operator = self.state.is_resting() && action.is_rest() && resume == Resume::ByOperator;
+            self.needs_operator |= needs_operator;
+            self.holds_every_arm |= needs_operator && cause.condition.rule().holds_every_arm;
+            self.needs_operator_beyond_loss |= needs_operator && !comes_with_loss(cause.condition);
         }
         found
     }
@@ -366,15 +368,15 @@ impl Supervisor {
     }
 
     /// Reason to refuse a command, other than the table of states.
-    fn refusal(&self, said: OperatorRequest, blocking: Option<Cause>, now: MonotonicTime) -> Option<RefusedFor> {
-        if said.word.ends_motion() {
+    fn refusal(&self, request: OperatorRequest, blocking: Option<Cause>, now: MonotonicTime) -> Option<RefusedFor> {
+        if request.command.ends_motion() {
             return None;
         }
-        if let Some(untimely) = self.untimely(said, now) {
+        if let Some(untimely) = self.untimely(request, now) {
             return Some(untimely);
         }
         let latched = [Condition::EmergencyStop, Condition::ArmFault].map(|condition| self.findings.cause(condition));
-        match (said.word, self.state) {
+        match (request.command, self.state) {
             (OperatorCommand::Start, State::Selecting) | (OperatorCommand::Resume, State::Holding | State::Lost) => {
                 blocking.map(RefusedFor::Cause).or_else(|| self.not_clear())
             }
@@ -388,40 +390,45 @@ impl Supervisor {
     /// Refusal because the cause has not been gone for long enough.
     fn not_clear(&self) -> Option<RefusedFor> {
         let (clear_s, wanted_s) = (self.clear_for_s(), self.config.go_after_s);
-        (!self.is_clear()).then_some(RefusedFor::NotClear { cause: self.spoke, clear_s, wanted_s })
+        (!self.is_clear()).then_some(RefusedFor::NotClear { cause: self.last_inhibit, clear_s, wanted_s })
     }
 
     /// Reason to refuse a command because of its time.
-    fn untimely(&self, said: OperatorRequest, now: MonotonicTime) -> Option<RefusedFor> {
-        let age_s = now.seconds_since(said.at);
+    fn untimely(&self, request: OperatorRequest, now: MonotonicTime) -> Option<RefusedFor> {
+        let age_s = now.seconds_since(request.at);
         let age_max_s = self.config.word_age_max_s;
         if !(-age_max_s..=age_max_s).contains(&age_s) {
             return Some(RefusedFor::Age { age_s, age_max_s });
         }
         // After the clock stepped back, new commands must not be refused as older than the state.
-        let is_before = self.commands_since.is_some_and(|since| said.at < since.min(now));
+        let is_before = self.commands_since.is_some_and(|since| request.at < since.min(now));
         if is_before {
             return Some(RefusedFor::OlderThanState(self.state));
         }
         // `start` refers to the target that was followed when the command was given.
-        let followed_since = self.findings.followed_since().filter(|_| said.word == OperatorCommand::Start);
-        let is_other = followed_since.is_some_and(|since| said.at < since.min(now));
+        let followed_since = self.findings.followed_since().filter(|_| request.command == OperatorCommand::Start);
+        let is_other = followed_since.is_some_and(|since| request.at < since.min(now));
         is_other.then_some(RefusedFor::OlderThanTarget)
     }
 
     /// Result of a command.
-    fn refused(&self, word: OperatorCommand, refused: Option<RefusedFor>, happened: Option<Event>) -> Option<Refusal> {
-        let own = event_of(word);
+    fn refused(
+        &self,
+        command: OperatorCommand,
+        refused: Option<RefusedFor>,
+        happened: Option<Event>,
+    ) -> Option<Refusal> {
+        let own = event_of(command);
         let because = match (refused, happened) {
             (Some(because), _) => because,
             (None, Some(event)) if event == own => return None,
             // A fault fulfils `stop`, and every end of motion fulfils `hold`.
-            (None, Some(_)) if word.ends_motion() => return None,
+            (None, Some(_)) if command.ends_motion() => return None,
             (None, Some(_)) => RefusedFor::Overtaken(self.state),
             (None, None) if outcome(self.state, own) == Outcome::Refuse => RefusedFor::State(self.state),
             (None, None) => return None,
         };
-        Some(Refusal { word, because })
+        Some(Refusal { command, because })
     }
 
     /// Whether the hand may search for the target: the loss is younger than `search_max_s`, the operator has commanded no hold,
@@ -431,7 +438,7 @@ impl Supervisor {
         let of_loss = |cause: Cause| comes_with_loss(cause.condition);
         self.state == State::Lost
             && !self.held_by_operator
-            && !self.needs_word_for_more
+            && !self.needs_operator_beyond_loss
             && (0.0..self.config.search_max_s).contains(&since_s)
             && self.findings.all_at_least(&self.config.policies, Action::Slow(1.0)).all(of_loss)
     }
@@ -478,12 +485,12 @@ impl Supervisor {
     fn why(&self, blocking: Option<Cause>, now: MonotonicTime) -> Why {
         let state = self.state;
         let after_s = if self.stalls.since.is_some() { 0.0 } else { self.config.resume_after_s };
-        let then = if self.needs_word { Then::Resume } else { Then::ByItself { after_s } };
-        let wants_word = state == State::Selecting || self.held_by_operator || self.needs_word;
+        let then = if self.needs_operator { Then::Resume } else { Then::ByItself { after_s } };
+        let wants_operator = state == State::Selecting || self.held_by_operator || self.needs_operator;
         match (state, blocking) {
             (State::Idle, _) => Why::Idle,
-            (State::Selecting | State::Holding | State::Lost, None) if wants_word && !self.is_clear() => {
-                Why::Settling { state, cause: self.spoke, for_s: self.config.go_after_s }
+            (State::Selecting | State::Holding | State::Lost, None) if wants_operator && !self.is_clear() => {
+                Why::Settling { state, cause: self.last_inhibit, for_s: self.config.go_after_s }
             }
             (State::Selecting, None) => Why::Ready,
             (State::Selecting, Some(cause)) => Why::Waiting { cause },
@@ -526,8 +533,8 @@ fn comes_with_loss(condition: Condition) -> bool {
     )
 }
 
-fn event_of(word: OperatorCommand) -> Event {
-    match word {
+fn event_of(command: OperatorCommand) -> Event {
+    match command {
         OperatorCommand::Select => Event::Select,
         OperatorCommand::Start => Event::Start,
         OperatorCommand::Hold | OperatorCommand::HoldHand => Event::Hold,

@@ -111,7 +111,7 @@ fn target_moved(cell: &Cell, by: Vector3<f64>) -> Pose<Base, Model> {
 }
 
 #[test]
-fn smoothing_quiets_the_hand_before_a_target_that_is_seen_with_jitter() {
+fn smoothing_quiets_the_hand_before_a_target_with_jitter() {
     let wander = |time_constant_s: f64| {
         let config = with_filter(config(), |filter| {
             filter.position_time_constant_s = time_constant_s;
@@ -241,7 +241,7 @@ fn the_laws_that_look_at_the_image_lead_the_hand_to_its_place() {
 
 /// With the model behind the camera an image-based law has no velocity.
 #[test]
-fn a_target_behind_the_camera_is_said_and_the_hand_rests() {
+fn a_target_behind_the_camera_is_reported_and_the_hand_holds() {
     for law in image_laws() {
         let mut cell = Cell::new(ControllerConfig { law, ..config() }, IDEAL, 0.066);
         let behind = cell.base_from_hand() * Pose::from_translation(Vector3::new(0.0, 0.0, -0.4));

@@ -94,16 +94,16 @@ fn run(law: FeedForwardConfig, latency_s: f64) -> Figures {
         }
         if t_s + 1e-9 >= f64::from(exposures) / 30.0 {
             exposures += 1;
-            let mut seen = cell.observe(&target);
+            let mut observed = cell.observe(&target);
             let xi = Vector6::from_fn(|i, _| SIGMA[i] * noise.normal());
-            seen.cam_left_from_model = seen.cam_left_from_model.perturbed_in_from(&xi);
+            observed.cam_left_from_model = observed.cam_left_from_model.perturbed_in_from(&xi);
             let sigma = Vector6::from(SIGMA);
             // The estimators report slightly too small covariances.
-            seen.covariance = Some(Matrix6::from_diagonal(&sigma.component_mul(&sigma)) / 2.5);
-            in_flight.push_back(seen);
+            observed.covariance = Some(Matrix6::from_diagonal(&sigma.component_mul(&sigma)) / 2.5);
+            in_flight.push_back(observed);
         }
         let now = cell.now();
-        while in_flight.front().is_some_and(|seen| now.seconds_since(seen.at) >= latency_s) {
+        while in_flight.front().is_some_and(|observed| now.seconds_since(observed.at) >= latency_s) {
             cell.newest = in_flight.pop_front();
         }
         cell.step_controller();

@@ -69,7 +69,7 @@ fn a_moving_target_is_followed_without_lag() {
 
 /// Without a model of the arm the hand lags by delay and lag, and without the inversion of the lag by the lag.
 #[test]
-fn what_is_told_of_the_arm_is_what_removes_the_lag() {
+fn the_stated_arm_lag_is_the_one_that_removes_it() {
     let error = |arm: ArmResponse| {
         // A small gain makes the errors of the feed-forward visible.
         let gains = FeedForwardGains { position_per_s: 4.0, orientation_per_s: 4.0, ..FeedForwardGains::of(&ARM) };
@@ -175,7 +175,7 @@ fn lock_start_and_arrival_make_no_step() {
 }
 
 #[test]
-fn a_target_that_is_not_seen_any_more_is_followed_ever_slower_until_the_hand_rests() {
+fn a_target_that_is_no_longer_visible_is_followed_more_slowly_until_the_hand_holds() {
     let mut config = feed_forward_config(feed_forward(ARM));
     config.speed.soft_start_s = 0.4;
     let mut cell = Cell::new(config, PLANT, LATENCY_S);
@@ -232,19 +232,21 @@ fn a_rotation_that_is_not_observed_does_not_lead_the_hand() {
         let target = swinging(&home, cell.time_s - 5.0);
         if cell.time_s - 5.0 + 1e-9 >= f64::from(exposures) / 30.0 {
             exposures += 1;
-            let mut seen = cell.observe(&target);
+            let mut measured = cell.observe(&target);
             // The rotation of the first image is kept, with some noise.
             let turned = about_normal(&cell, &target) + random.between(-0.01, 0.01);
             let about = rotation(0.0, 0.0, turned);
-            seen.cam_left_from_model =
-                Pose::from_parts(seen.cam_left_from_model.translation_m(), seen.cam_left_from_model.rotation() * about);
-            (seen.covariance, seen.observed[5]) = (None, false);
-            in_flight.push_back(seen);
+            measured.cam_left_from_model = Pose::from_parts(
+                measured.cam_left_from_model.translation_m(),
+                measured.cam_left_from_model.rotation() * about,
+            );
+            (measured.covariance, measured.observed[5]) = (None, false);
+            in_flight.push_back(measured);
         }
         let now = cell.now();
         while in_flight
             .front()
-            .is_some_and(|seen: &pb3dp_servo::TargetObservation| now.seconds_since(seen.at) >= LATENCY_S)
+            .is_some_and(|measured: &pb3dp_servo::TargetObservation| now.seconds_since(measured.at) >= LATENCY_S)
         {
             cell.newest = in_flight.pop_front();
         }
@@ -265,7 +267,7 @@ fn a_rotation_that_is_not_observed_does_not_lead_the_hand() {
 }
 
 #[test]
-fn a_covariance_that_is_none_and_an_outlier_are_told_and_not_used() {
+fn an_invalid_covariance_and_an_outlier_are_reported_and_not_used() {
     let mut cell = Cell::new(feed_forward_config(feed_forward(ARM)), PLANT, LATENCY_S);
     let home = home(&cell);
     for _ in 0..300 {

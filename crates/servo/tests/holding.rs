@@ -96,8 +96,8 @@ fn observations_that_can_not_be_used_are_refused_one_by_one() {
     assert!(matches!(verdict, ObservationVerdict::WrongTime { age_s } if age_s < 0.0), "{verdict:?}");
     let verdict = refused(&|c| {
         let far = Pose::from_parts(Vector3::new(0.6, 0.0, 0.0), rotation(0.0, 0.0, 0.0));
-        let seen = &mut c.newest.as_mut().unwrap().cam_left_from_model;
-        *seen = far * *seen;
+        let observed = &mut c.newest.as_mut().unwrap().cam_left_from_model;
+        *observed = far * *observed;
     });
     assert!(
         matches!(verdict, ObservationVerdict::Jump { position_m, .. } if (position_m - 0.6).abs() < 1e-6),
@@ -112,10 +112,10 @@ fn an_observation_is_placed_with_the_joints_at_its_exposure() {
     let mut cell = Cell::new(config(), IDEAL, 0.0);
     let target = cell.target_for_hand_moved(Vector3::new(0.0, 0.05, 0.0), rotation(0.0, 0.0, 0.0));
     // The joints move freely; one image, exposed during the motion between two joint samples, arrives 50 ms later.
-    let mut seen = None;
+    let mut observed = None;
     for i in 0..60 {
         if i == 30 {
-            seen = Some(cell.observe(&target));
+            observed = Some(cell.observe(&target));
         }
         let velocity = JointVector::from([0.5, -0.3, 0.4, 0.2, -0.6, 0.3, 1.0]);
         cell.joints.velocity_rad_per_s = velocity;
@@ -124,7 +124,7 @@ fn an_observation_is_placed_with_the_joints_at_its_exposure() {
         cell.time_s += 0.002;
         cell.joints.at = cell.now();
     }
-    let step = cell.controller.step(&cell.joints, seen.as_ref(), cell.now());
+    let step = cell.controller.step(&cell.joints, observed.as_ref(), cell.now());
     assert_eq!(step.observation, ObservationVerdict::Accepted);
     let off = step.base_from_model.unwrap().inverse() * target;
     assert!(off.translation_m().norm() < 1e-9 && off.rotation_angle_rad() < 1e-9, "{off:?}");

@@ -41,7 +41,7 @@ struct Rig {
 struct Recorded {
     given: Vec<GivenVelocity>,
     joints: Vec<JointState>,
-    seen: Vec<(MonotonicTime, Pose<CamLeft, Model>)>,
+    poses: Vec<(MonotonicTime, Pose<CamLeft, Model>)>,
 }
 
 fn at(seconds: f64) -> MonotonicTime {
@@ -67,7 +67,7 @@ impl Rig {
             );
         let mut noise = SplitMix64::new(self.seed);
         let mut wanted = vec![];
-        let (mut recorded, mut next_frame_s) = (Recorded { given: vec![], joints: vec![], seen: vec![] }, 0.0);
+        let (mut recorded, mut next_frame_s) = (Recorded { given: vec![], joints: vec![], poses: vec![] }, 0.0);
         let steps = ((motion.duration_s() + 0.5) / CYCLE_S) as usize;
         for step in 0..steps {
             let t_s = step as f64 * CYCLE_S;
@@ -87,7 +87,7 @@ impl Rig {
                     let jitter = Pose::<Model, Model>::from_translation(Vector3::from_fn(|_, _| {
                         self.position_sigma_m * noise.normal()
                     }));
-                    recorded.seen.push((at(next_frame_s), truth * jitter));
+                    recorded.poses.push((at(next_frame_s), truth * jitter));
                     next_frame_s += FRAME_S;
                 }
                 let due = (now_s - self.delay_s) / CYCLE_S;
@@ -108,7 +108,7 @@ fn offset(recorded: &Recorded) -> Result<Interval, NotIdentified> {
     let chain = chain();
     let camera =
         CameraOnHand { chain: &chain, flange_from_hand: flange_from_hand(), hand_from_cam_left: hand_from_cam_left() };
-    exposure_offset(&recorded.seen, &recorded.joints, &camera)
+    exposure_offset(&recorded.poses, &recorded.joints, &camera)
 }
 
 #[test]
@@ -117,8 +117,8 @@ fn what_was_put_in_is_found() {
     for offset_s in [0.012f64, -0.017, 0.0] {
         let recorded = Rig { offset_s: offset_s.max(0.0), ..rig(7) }.record(&motion);
         let shifted: Vec<_> =
-            recorded.seen.iter().map(|(at, pose)| (shifted(*at, offset_s.max(0.0) - offset_s), *pose)).collect();
-        let found = offset(&Recorded { seen: shifted, ..recorded }).unwrap();
+            recorded.poses.iter().map(|(at, pose)| (shifted(*at, offset_s.max(0.0) - offset_s), *pose)).collect();
+        let found = offset(&Recorded { poses: shifted, ..recorded }).unwrap();
         assert!((found.value - offset_s).abs() < 1.5e-3, "{found:?}, expected {offset_s}");
         assert!(found.half_width_95 < 3e-3, "{found:?}");
     }
@@ -145,7 +145,7 @@ fn a_wrong_mounting_is_no_delay() {
     let mut recorded = rig(3).record(&motion);
     let wrong =
         Pose::<CamLeft, CamLeft>::from_parts(Vector3::zeros(), UnitQuaternion::from_euler_angles(0.017, -0.017, 0.01));
-    for (_, pose) in &mut recorded.seen {
+    for (_, pose) in &mut recorded.poses {
         let scaled = Pose::from_parts(pose.translation_m() * 1.01, pose.rotation());
         *pose = wrong * scaled;
     }
@@ -162,10 +162,10 @@ fn what_does_not_tell_is_refused_with_its_reason() {
         .iter()
         .map(|joint| JointState { position_rad: recorded.joints[0].position_rad, ..*joint })
         .collect();
-    let at_rest = Recorded { joints: still.clone(), given: recorded.given.clone(), seen: recorded.seen.clone() };
+    let at_rest = Recorded { joints: still.clone(), given: recorded.given.clone(), poses: recorded.poses.clone() };
     assert!(matches!(offset(&at_rest), Err(NotIdentified::NotExcited { .. })), "{:?}", offset(&at_rest));
     assert!(matches!(arm_response(&recorded.given, &still), Err(NotIdentified::NotExcited { .. })));
-    let few = Recorded { seen: recorded.seen[..100].to_vec(), joints: recorded.joints.clone(), given: vec![] };
+    let few = Recorded { poses: recorded.poses[..100].to_vec(), joints: recorded.joints.clone(), given: vec![] };
     assert!(matches!(offset(&few), Err(NotIdentified::TooFew { count: ..=100, .. })), "{:?}", offset(&few));
     assert!(matches!(arm_response(&[], &recorded.joints), Err(NotIdentified::TooFew { .. })));
     let late: Vec<_> =

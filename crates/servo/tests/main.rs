@@ -3,6 +3,7 @@
 
 mod closed_loop;
 mod common;
+mod executed_command;
 mod experiment;
 mod feed_forward;
 mod holding;
@@ -13,5 +14,4 @@ mod singular;
 mod supervisor;
 mod supervisor_no_allocation;
 mod target_state;
-mod told;
 mod unobserved;

@@ -17,9 +17,9 @@ fn steps_without_allocation(config: ControllerConfig) {
     let target = cell.target_for_hand_moved(Vector3::new(0.05, -0.04, 0.03), rotation(0.1, 0.2, -0.1));
     let mut calls = 0;
     for _ in 0..1000 {
-        let seen = cell.observe(&target);
+        let observation = cell.observe(&target);
         let before = requests();
-        let step = cell.controller.step(&cell.joints, Some(&seen), cell.now());
+        let step = cell.controller.step(&cell.joints, Some(&observation), cell.now());
         calls += requests() - before;
         assert!(step.position_error_m.is_some());
         cell.step_controller();

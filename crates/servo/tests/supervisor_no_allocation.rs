@@ -9,7 +9,7 @@ fn steps_do_not_allocate() {
     let mut bench = Bench::following(config());
     let before = requests();
     bench.run(1.0);
-    for word in [
+    for command in [
         OperatorCommand::Hold,
         OperatorCommand::HoldHand,
         OperatorCommand::Resume,
@@ -18,7 +18,7 @@ fn steps_do_not_allocate() {
         OperatorCommand::Stop,
         OperatorCommand::Reset,
     ] {
-        bench.say(word);
+        bench.say(command);
         bench.run(0.5);
     }
     assert_eq!(requests() - before, 0);

@@ -125,8 +125,8 @@ fn allowed_in(name: &'static str, text: &str, key: &str, absurd: &str) -> Option
         let range = line.split_once(": allowed are ").map(|(_, range)| range);
         let choice =
             line.split_once("expected ").map(|(_, choice)| choice).filter(|_| line.contains("unknown variant"));
-        let said = range.or(choice)?;
-        Some(said.split(" [").next().unwrap_or(said).trim_matches('`').replace('`', "").to_owned())
+        let sentence = range.or(choice)?;
+        Some(sentence.split(" [").next().unwrap_or(sentence).trim_matches('`').replace('`', "").to_owned())
     })
 }
 
@@ -171,18 +171,18 @@ fn comment_of(key: &str, text: &str) -> Option<String> {
             None => format!("{table}.{}", code.split('=').next().unwrap_or_default().trim()),
         };
         let behind: Vec<&str> = std::iter::once(comment).filter(|comment| !comment.is_empty()).collect();
-        let mut said = match header.is_some() || behind.is_empty() {
+        let mut sentence = match header.is_some() || behind.is_empty() {
             true => [std::mem::take(&mut above), behind].concat(),
             false => behind,
         };
         while let Some(more) =
             lines.peek().filter(|next| next.starts_with(' ')).and_then(|next| next.trim().strip_prefix('#'))
         {
-            said.push(more.trim());
+            sentence.push(more.trim());
             lines.next();
         }
-        if here == key && !said.is_empty() {
-            return Some(said.join(" "));
+        if here == key && !sentence.is_empty() {
+            return Some(sentence.join(" "));
         }
         above.clear();
     }

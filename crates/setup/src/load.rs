@@ -257,7 +257,7 @@ fn describe(error: &figment::Error) -> String {
 }
 
 /// A message of serde without the names of Rust types.
-fn plain(said: &str) -> String {
+fn plain(plain_text: &str) -> String {
     let words = [
         ("`", ""),
         ("f64", "a number"),
@@ -265,7 +265,7 @@ fn plain(said: &str) -> String {
         ("i64", "a whole number"),
         ("a sequence", "a list"),
     ];
-    words.into_iter().fold(said.to_owned(), |text, (from, to)| text.replace(from, to))
+    words.into_iter().fold(plain_text.to_owned(), |text, (from, to)| text.replace(from, to))
 }
 
 /// The known key that a mistyped one probably means.

@@ -301,20 +301,20 @@ impl GeometricTracker {
 
     /// Share of the outline points visible in both images; the search ends once `enough` is reached.
     fn share_in_view(&self, cam_left_from_target: &Pose<CamLeft, Target>, enough: f64) -> f64 {
-        let is_seen = |point: &&Point3<f64>| {
+        let is_visible = |point: &&Point3<f64>| {
             let in_left = cam_left_from_target.transform_point(point);
             let in_right = self.rig.cam_right_from_cam_left().transform_point(&in_left);
             shows(self.rig.left(), &in_left) && shows(self.rig.right(), &in_right)
         };
         let share_of = |count: usize| count as f64 / self.outline_m.len().max(1) as f64;
-        let mut seen = 0;
-        for _ in self.outline_m.iter().filter(is_seen) {
-            seen += 1;
-            if share_of(seen) >= enough {
+        let mut counted = 0;
+        for _ in self.outline_m.iter().filter(is_visible) {
+            counted += 1;
+            if share_of(counted) >= enough {
                 break;
             }
         }
-        share_of(seen)
+        share_of(counted)
     }
 }
 

@@ -105,12 +105,12 @@ impl GroundTruth {
     /// this is the plane that fits a stereo pair best. `None` if the pixels do not span a plane.
     pub fn plane(camera: &Camera, pixels: impl Iterator<Item = ([u32; 2], f64)>) -> Option<Vector3<f64>> {
         const ROUNDS: usize = 20;
-        let seen =
+        let visible =
             pixels.map(|(pixel, depth_m)| Some((camera.unproject(&pixel.map(f64::from).into()).ok()?, 1.0 / depth_m)));
-        let seen: Vec<(Vector3<f64>, f64)> = seen.collect::<Option<_>>()?;
+        let visible: Vec<(Vector3<f64>, f64)> = visible.collect::<Option<_>>()?;
         let fitted = |weight: &dyn Fn(f64) -> f64, plane: &Vector3<f64>| {
             let (mut information, mut pull) = (Matrix3::zeros(), Vector3::zeros());
-            for (ray, inverse_depth) in &seen {
+            for (ray, inverse_depth) in &visible {
                 let weight = weight(inverse_depth - plane.dot(ray));
                 information += ray * ray.transpose() * weight;
                 pull += ray * (inverse_depth * weight);
@@ -119,7 +119,8 @@ impl GroundTruth {
         };
         let mut plane = fitted(&|_| 1.0, &Vector3::zeros())?;
         for _ in 0..ROUNDS {
-            let mut residuals: Vec<f64> = seen.iter().map(|(ray, inverse)| (inverse - plane.dot(ray)).abs()).collect();
+            let mut residuals: Vec<f64> =
+                visible.iter().map(|(ray, inverse)| (inverse - plane.dot(ray)).abs()).collect();
             let middle = residuals.len() / 2;
             let limit = 4.685 * 1.4826 * *residuals.select_nth_unstable_by(middle, f64::total_cmp).1;
             // Of a plane all residuals are rounding.
@@ -284,9 +285,9 @@ impl StereoRenderer {
 
     /// Depth and object of every pixel centre of the left camera at `poses`.
     pub fn ground_truth(&mut self, poses: &ScenePoses) -> GroundTruth {
-        let seen = self.cameras[0].see(&self.scene, poses);
-        let depth_m = seen.inv_z.iter().map(|&inv_z| if inv_z > 0.0 { 1.0 / inv_z } else { 0.0 }).collect();
-        let object = seen.seen.iter().map(|&seen| object_of(&self.scene, seen)).collect();
+        let visible = self.cameras[0].see(&self.scene, poses);
+        let depth_m = visible.inv_z.iter().map(|&inv_z| if inv_z > 0.0 { 1.0 / inv_z } else { 0.0 }).collect();
+        let object = visible.visible.iter().map(|&visible| object_of(&self.scene, visible)).collect();
         GroundTruth { size: self.rig.left().size(), depth_m, object }
     }
 
@@ -300,8 +301,8 @@ impl StereoRenderer {
     }
 }
 
-fn object_of(scene: &Scene, seen: u32) -> SceneObject {
-    if seen == NOTHING { SceneObject::Nothing } else { scene.parts()[(seen >> TRIANGLE_BITS) as usize].object }
+fn object_of(scene: &Scene, visible: u32) -> SceneObject {
+    if visible == NOTHING { SceneObject::Nothing } else { scene.parts()[(visible >> TRIANGLE_BITS) as usize].object }
 }
 
 /// Shades everything visible in one view.
@@ -313,9 +314,9 @@ fn shade(
     light: &mut [u16],
 ) {
     edges.resolve(view, visibility, triangles);
-    let seen = ShadingInput { view, visibility, parts, triangles };
-    shade_surfaces(kernels(), &seen, light);
-    edges.shade(&seen, light);
+    let visible = ShadingInput { view, visibility, parts, triangles };
+    shade_surfaces(kernels(), &visible, light);
+    edges.shade(&visible, light);
 }
 
 /// Input of the shading: the parts of the scene and their triangles as seen by one camera.
@@ -328,16 +329,16 @@ struct ShadingInput<'a> {
 
 wide! {
     /// Shades every pixel at its centre, in runs of pixels that see the same triangle.
-    fn shade_surfaces(seen: &ShadingInput<'_>, light: &mut [u16]) = shade_surfaces_kernel;
+    fn shade_surfaces(visible: &ShadingInput<'_>, light: &mut [u16]) = shade_surfaces_kernel;
 }
 
 #[inline(always)]
-fn shade_surfaces_kernel(seen: &ShadingInput<'_>, light: &mut [u16]) {
-    let view = seen.view;
+fn shade_surfaces_kernel(visible: &ShadingInput<'_>, light: &mut [u16]) {
+    let view = visible.view;
     let mut scratch = Scratch::new();
     for row in 0..view.height {
         let start = row * view.width;
-        let codes = &seen.visibility.seen[start..start + view.width];
+        let codes = &visible.visibility.visible[start..start + view.width];
         let mut column = 0;
         while column < view.width {
             let code = codes[column];
@@ -347,8 +348,8 @@ fn shade_surfaces_kernel(seen: &ShadingInput<'_>, light: &mut [u16]) {
             if code == NOTHING {
                 out.chunks_exact_mut(3).for_each(|pixel| pixel.copy_from_slice(&EMPTY));
             } else {
-                let triangle = &seen.triangles[triangle_index(code)];
-                let texture = &seen.parts[usize::from(triangle.part)].texture;
+                let triangle = &visible.triangles[triangle_index(code)];
+                let texture = &visible.parts[usize::from(triangle.part)].texture;
                 let rays = (&view.ray_x[pixels.clone()], &view.ray_y[pixels]);
                 shade_run(triangle, texture, view.pixel_size, rays, &mut scratch, out);
             }

@@ -77,11 +77,11 @@ fn marks_lie_where_the_cameras_project_them() {
         let scene = square_scene(0.45, 10, marks);
         let [left, right] = render(scene, rig, &SensorConfig::IDEAL, &poses(cam_left_from_target));
         let in_left = |p: &Point3<f64>| cam_left_from_target.transform_point(p);
-        let seen = check_marks(&left, rig.left(), in_left);
-        assert!(seen > 150, "{seen}");
+        let checked = check_marks(&left, rig.left(), in_left);
+        assert!(checked > 150, "{checked}");
         let in_right = |p: &Point3<f64>| rig.cam_right_from_cam_left().transform_point(&in_left(p));
-        let seen = check_marks(&right, rig.right(), in_right);
-        assert!(seen > 120, "{seen}");
+        let checked = check_marks(&right, rig.right(), in_right);
+        assert!(checked > 120, "{checked}");
     }
 }
 

@@ -125,17 +125,17 @@ fn outlines_frame_the_targets_in_the_image() {
         let scene = Scene::build(&SceneConfig::new(target)).unwrap();
         let mut renderer = StereoRenderer::new(scene, distorted_rig(), &SensorConfig::IDEAL, 1).unwrap();
         let truth = renderer.ground_truth(&here);
-        let seen: Vec<_> = (0..640 * 480)
+        let checked: Vec<_> = (0..640 * 480)
             .filter(|&i| truth.object[i] == SceneObject::Target)
             .map(|i| Vector2::new((i % 640) as f64, (i / 640) as f64))
             .collect();
         let (area, range) = area_and_range(&renderer.target_outline_px(&here).unwrap());
-        let seen_range = area_and_range(&seen).1;
-        for (outline, pixels) in range.iter().zip(seen_range) {
-            assert!((outline - pixels).abs() < 1.5, "{}: outline {range:?}, pixels {seen_range:?}", target.name());
+        let visible_range = area_and_range(&checked).1;
+        for (outline, pixels) in range.iter().zip(visible_range) {
+            assert!((outline - pixels).abs() < 1.5, "{}: outline {range:?}, pixels {visible_range:?}", target.name());
         }
-        let share = seen.len() as f64 / area;
-        assert!((0.97..1.03).contains(&share), "{}: {} px in an outline of {area} px", target.name(), seen.len());
+        let share = checked.len() as f64 / area;
+        assert!((0.97..1.03).contains(&share), "{}: {} px in an outline of {area} px", target.name(), checked.len());
     }
 }
 

@@ -17,7 +17,7 @@ static OWN: Mutex<Vec<Delay>> = Mutex::new(Vec::new());
 /// A late machine must be on time for this long before a test is tried again.
 const CALM: Duration = Duration::from_secs(1);
 /// Longest wait for a calm machine.
-const PATIENCE: Duration = Duration::from_secs(20);
+const TIMEOUT: Duration = Duration::from_secs(20);
 
 /// How a test holds the lock of all real-time tests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -106,16 +106,16 @@ pub fn in_real_time_as(name: &str, turn: Turn, priority: Priority, test: impl Fn
         let entered = (priority == Priority::Granted).then(|| Entered::new(Policy::TEST));
         let outcome = catch_unwind(AssertUnwindSafe(&test));
         drop((entered, preferred));
-        let seen = witness.end();
+        let testimony = witness.end();
         let Err(panic) = outcome else { return };
         let own: Vec<Delay> = of(&OWN).iter().filter(|delay| delay.at >= begin).copied().collect();
-        let blame = judge(text(panic.as_ref()), &own, &seen);
+        let blame = judge(text(panic.as_ref()), &own, &testimony);
         let own_worst = own.iter().map(|delay| delay.late).max().unwrap_or_default();
         #[expect(clippy::print_stderr, reason = "belongs to the captured output of the test")]
         {
-            eprintln!("cause of the failure: {blame:?} (machine {:?} late, test {own_worst:?} late)", seen.worst);
+            eprintln!("cause of the failure: {blame:?} (machine {:?} late, test {own_worst:?} late)", testimony.worst);
         }
-        match tries.failed(blame, &seen) {
+        match tries.failed(blame, &testimony) {
             Verdict::Failed => resume_unwind(panic),
             Verdict::NotChecked { worst } => {
                 let reason =
@@ -130,7 +130,7 @@ pub fn in_real_time_as(name: &str, turn: Turn, priority: Priority, test: impl Fn
 /// Waits until the machine is on time, so that one long delay does not cost all tries.
 fn wait_for_calm(of_witness: Policy) {
     let begin = Instant::now();
-    while begin.elapsed() < PATIENCE {
+    while begin.elapsed() < TIMEOUT {
         let witness = Witness::start(of_witness).expect("threads and a line that watch the machine");
         std::thread::sleep(CALM);
         if witness.end().worst <= TOO_LATE {

@@ -31,16 +31,16 @@ pub enum Blame {
 }
 
 /// Judges a failure by its text, by the delays recorded by the test itself, and by the observations of the witnesses.
-pub fn judge(text: &str, own: &[Delay], seen: &Testimony) -> Blame {
+pub fn judge(text: &str, own: &[Delay], testimony: &Testimony) -> Blame {
     let longest = own.iter().max_by_key(|delay| delay.late).filter(|delay| delay.late > TOO_LATE);
     let is_lateness = longest.is_some() || LATENESS.iter().any(|word| text.contains(word));
     let was_as_late = match longest {
-        Some(own) => seen.delays.iter().any(|delay| delay.overlaps(own) && delay.late + PERIOD >= own.late),
-        None => seen.worst > TOO_LATE,
+        Some(own) => testimony.delays.iter().any(|delay| delay.overlaps(own) && delay.late + PERIOD >= own.late),
+        None => testimony.worst > TOO_LATE,
     };
     match (is_lateness, was_as_late) {
         (true, true) => Blame::Machine,
-        _ if seen.worst <= TOO_LATE => Blame::Product,
+        _ if testimony.worst <= TOO_LATE => Blame::Product,
         _ => Blame::Unclear,
     }
 }
@@ -72,10 +72,10 @@ impl Tries {
     pub const MAX: u32 = 7;
 
     /// Updates the verdict after one more failure.
-    pub fn failed(&mut self, blame: Blame, seen: &Testimony) -> Verdict {
+    pub fn failed(&mut self, blame: Blame, testimony: &Testimony) -> Verdict {
         self.failures += 1;
         self.excused += u32::from(blame == Blame::Machine);
-        self.worst = self.worst.max(seen.worst);
+        self.worst = self.worst.max(testimony.worst);
         match blame {
             Blame::Product => Verdict::Failed,
             _ if self.failures < Self::MAX => Verdict::Open,
@@ -94,7 +94,7 @@ mod tests {
     const ON_TIME: Duration = Duration::from_millis(2);
     const LATE: Duration = Duration::from_millis(30);
 
-    fn seen(late: Duration) -> Testimony {
+    fn testimony(late: Duration) -> Testimony {
         let at = Instant::now() + Duration::from_secs(5);
         Testimony { delays: vec![Delay { at, late }], worst: late }
     }
@@ -111,16 +111,16 @@ mod tests {
             ("fault: the gateway stopped the arm: host-silent; the program that", ON_TIME, Blame::Product),
             ("moved by 0.3 rad", LATE, Blame::Unclear),
         ] {
-            assert_eq!(judge(text, &[], &seen(late)), expected, "{text}, witness {late:?} late");
+            assert_eq!(judge(text, &[], &testimony(late)), expected, "{text}, witness {late:?} late");
         }
     }
 
     #[test]
     fn a_witness_excuses_what_was_late_in_the_same_moment_by_as_much() {
-        let seen = seen(LATE);
-        let at = seen.delays[0].at;
+        let testimony = testimony(LATE);
+        let at = testimony.delays[0].at;
         let own = |at, late| [Delay { at, late }];
-        let judged = |own: &[Delay]| judge("stopped", own, &seen);
+        let judged = |own: &[Delay]| judge("stopped", own, &testimony);
         assert_eq!(judged(&own(at, LATE)), Blame::Machine);
         assert_eq!(judged(&own(at, LATE * 2)), Blame::Unclear);
         assert_eq!(judged(&own(at + Duration::from_secs(1), LATE)), Blame::Unclear);
@@ -129,7 +129,7 @@ mod tests {
     fn verdicts(blames: &[(Blame, u32)]) -> Verdict {
         let mut tries = Tries::default();
         let all = blames.iter().flat_map(|(blame, count)| (0..*count).map(|_| *blame));
-        all.map(|blame| tries.failed(blame, &seen(LATE))).last().expect("a failure")
+        all.map(|blame| tries.failed(blame, &testimony(LATE))).last().expect("a failure")
     }
 
     #[test]

@@ -59,7 +59,7 @@ pub struct Testimony {
 struct Watch {
     is_over: AtomicBool,
     /// The most recent delays, oldest first. With room for all: tests count allocations.
-    seen: Mutex<VecDeque<Delay>>,
+    recent: Mutex<VecDeque<Delay>>,
     /// Of each thread, how often it was awake.
     awake: Vec<AtomicU64>,
 }
@@ -68,11 +68,11 @@ impl Watch {
     fn see(&self, due: Instant, at: Instant) {
         let late = at.saturating_duration_since(due);
         if late >= WORTH_RECORDING {
-            let mut seen = of(&self.seen);
-            if seen.len() == ROOM {
-                seen.pop_front();
+            let mut recent = of(&self.recent);
+            if recent.len() == ROOM {
+                recent.pop_front();
             }
-            seen.push_back(Delay { at, late });
+            recent.push_back(Delay { at, late });
         }
     }
 }
@@ -128,8 +128,8 @@ impl Witness {
         while awake().zip(&before).any(|(now, before)| now == *before) {
             std::thread::sleep(PERIOD);
         }
-        let seen = of(&self.threads.watch.seen);
-        let delays: Vec<Delay> = seen.iter().filter(|delay| delay.at >= self.since).copied().collect();
+        let recent = of(&self.threads.watch.recent);
+        let delays: Vec<Delay> = recent.iter().filter(|delay| delay.at >= self.since).copied().collect();
         Testimony { worst: delays.iter().map(|delay| delay.late).max().unwrap_or_default(), delays }
     }
 }
@@ -139,7 +139,7 @@ impl Threads {
         let processors = available_parallelism()?.get();
         let watch = Arc::new(Watch {
             is_over: AtomicBool::new(false),
-            seen: Mutex::new(VecDeque::with_capacity(ROOM)),
+            recent: Mutex::new(VecDeque::with_capacity(ROOM)),
             awake: (0..=processors).map(|_| AtomicU64::new(0)).collect(),
         });
         // Ends those that run already if one cannot be started.
@@ -210,8 +210,8 @@ fn echo(near: &mut File, far: &mut File, watch: &Watch) {
     // A line error shows nothing. Neither does a lost byte: a program of another test that still looks for its own line may
     // have read it, because the numbers of pseudo-terminals are reused. It may also have changed the line settings, so that a
     // read does not block.
-    let heard = near.write_all(&[0x55]).and_then(|()| wait_for_byte(far)).and_then(|()| far.read(&mut [0]));
-    if heard.is_ok_and(|bytes| bytes > 0) {
+    let answered = near.write_all(&[0x55]).and_then(|()| wait_for_byte(far)).and_then(|()| far.read(&mut [0]));
+    if answered.is_ok_and(|bytes| bytes > 0) {
         watch.see(sent, Instant::now());
     }
 }
@@ -228,20 +228,20 @@ mod tests {
     use super::*;
 
     fn watch() -> Watch {
-        Watch { is_over: AtomicBool::new(false), seen: Mutex::new(VecDeque::with_capacity(ROOM)), awake: Vec::new() }
+        Watch { is_over: AtomicBool::new(false), recent: Mutex::new(VecDeque::with_capacity(ROOM)), awake: Vec::new() }
     }
 
     #[test]
-    fn a_held_processor_is_seen() {
+    fn a_held_processor_is_detected() {
         // No thread with a lower or without a priority can delay a witness: the record itself is checked.
         let watch = watch();
         let due = Instant::now();
         watch.see(due, due + Duration::from_micros(900));
         let late = |millis| Delay { at: due + Duration::from_millis(millis), late: Duration::from_millis(millis) };
         watch.see(due, due + Duration::from_millis(7));
-        assert_eq!(*of(&watch.seen), [late(7)]);
+        assert_eq!(*of(&watch.recent), [late(7)]);
         (0..ROOM).for_each(|_| watch.see(due, due + Duration::from_millis(8)));
-        assert_eq!(*of(&watch.seen), [late(8); ROOM]);
+        assert_eq!(*of(&watch.recent), [late(8); ROOM]);
     }
 
     #[test]
@@ -258,8 +258,8 @@ mod tests {
         watch.see(second.since, planted.at);
         assert_eq!(second.end().worst, planted.late);
         assert!(threads.strong_count() > 0);
-        let seen = first.end();
-        assert!(seen.delays.len() >= 2 && seen.delays.contains(&planted), "{seen:?}");
+        let recent = first.end();
+        assert!(recent.delays.len() >= 2 && recent.delays.contains(&planted), "{recent:?}");
         assert!(threads.strong_count() == 0 && watch.is_over.load(Ordering::Relaxed));
     }
 

@@ -22,7 +22,7 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::Firmware;
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_cell::cell::{ArmSite, JointSource};
 use pb3dp_cell::flight::FLIGHT;
-use pb3dp_cell::parts::{ArmOnBus, DrivenArm, EmulatedArm, GatewayLimits, LinkCounts, LinkMonitor, StopOrder};
+use pb3dp_cell::parts::{ArmControl, ArmOnBus, EmulatedArm, GatewayLimits, LinkCounts, LinkMonitor, StopOrder};
 use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState, PowerOrder};
 use pb3dp_hal_middleware::{FlightLog, Guard, Limiter, Recorded, couple};
 use pb3dp_hal_platform::jitter::Jitter;
@@ -32,10 +32,10 @@ use pb3dp_hal_platform::transport::Connector;
 use pb3dp_setup::setup::{ArmLink, ArmSetup, BusLinkConfig, GatewayWay, Setup};
 use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig};
 
-use super::greeting;
-use super::nominal::EMULATION;
+use super::gateway_check;
+use super::nominal_calibration::EMULATION;
+use super::simulated_arms::{SharedPlant, SimulatedArm};
 use super::sole_program::sole_program;
-use super::standing::{SharedPlant, StandingArm};
 
 /// Largest difference between the limits in a controller's EEPROM and those of the robot description, degrees.
 pub const LIMITS_TOLERANCE_DEG: f64 = 0.5;
@@ -54,7 +54,7 @@ pub struct WiredArms {
     /// Their base poses and joint sources in the workcell.
     pub sites: [ArmSite; 2],
     /// Their motion interfaces.
-    pub driven: [Box<dyn DrivenArm>; 2],
+    pub driven: [Box<dyn ArmControl>; 2],
     /// Their flight recorders.
     pub flights: [(&'static str, FlightLog); 2],
     /// Link monitors; arms without a link have none.
@@ -62,7 +62,7 @@ pub struct WiredArms {
     /// The emulated arms at the other ends of the links.
     pub emulated: Vec<MockServer>,
     /// Arms that are emulated in simulated time.
-    pub standing: Vec<StandingArm>,
+    pub standing: Vec<SimulatedArm>,
     /// Arms that no gateway would stop.
     pub on_bus: Vec<ArmOnBus>,
 }
@@ -77,7 +77,7 @@ impl StopOrder for BusStop {
     fn is_done(&self) -> bool {
         let now = self.monitor.snapshot();
         let is_off = now.latched.is_some() || matches!(now.state, DriverState::Disconnected | DriverState::Connected);
-        is_off && now.activity == Activity::None && !now.unheard
+        is_off && now.activity == Activity::None && !now.stop_unacknowledged
     }
 
     fn give(&self) {
@@ -137,7 +137,7 @@ pub(super) fn wire_arms_to(
     setup: &Setup,
     clock: &Arc<dyn Clock>,
     time: Option<&Arc<VirtualTime>>,
-    standing: &[StandingArm],
+    standing: &[SimulatedArm],
 ) -> Result<WiredArms> {
     let (vs_name, tc_name) = ("vs-robot", "tc-robot");
     let seats = match time {
@@ -185,13 +185,13 @@ fn arm_on_bus((name, arm, wired): (&'static str, &ArmSetup, &WiredBackend)) -> O
 ///
 /// # Errors
 /// If a part refuses its parameters, or the arm does not answer.
-pub(super) fn wire_alone(wanted: Wanted<'_>) -> Result<AloneArm> {
+pub(super) fn wire_alone(wanted: Wanted<'_>) -> Result<SingleArm> {
     wanted.arm.check_signals()?;
     let sole = sole_program(&[wanted.arm])?;
     let wired = wire_backend(wanted, alone()?, &sole)?;
     let (guarded, flight) = guarded(wanted, wired.backend, wired.trip)?;
     let emulated = wired.emulated.and_then(Emulation::into_server);
-    Ok(AloneArm { driven: limited(wanted, guarded)?, monitor: wired.monitor, flight, emulated })
+    Ok(SingleArm { driven: limited(wanted, guarded)?, monitor: wired.monitor, flight, emulated })
 }
 
 /// A seat on a trip line without other seats.
@@ -200,9 +200,9 @@ pub(super) fn alone() -> Result<TripSeat> {
 }
 
 /// One arm with all layers in front of it, without the other arm.
-pub struct AloneArm {
+pub struct SingleArm {
     /// Its motion interface.
-    pub driven: Box<dyn DrivenArm>,
+    pub driven: Box<dyn ArmControl>,
     /// Monitor of its link, if it has one.
     pub monitor: Option<ArmMonitor>,
     /// Its flight recorder.
@@ -225,7 +225,7 @@ pub(super) struct Wanted<'a> {
     /// The simulated time of the clock; none in real time, where links and emulated arms have threads.
     pub time: Option<&'a Arc<VirtualTime>>,
     /// The arm in simulated time, if another program has moved it before.
-    pub standing: Option<&'a StandingArm>,
+    pub standing: Option<&'a SimulatedArm>,
 }
 
 fn guarded(wanted: Wanted<'_>, backend: Box<dyn Backend>, trip: Option<TripHandle>) -> Result<(GuardedArm, FlightLog)> {
@@ -242,7 +242,7 @@ fn guarded(wanted: Wanted<'_>, backend: Box<dyn Backend>, trip: Option<TripHandl
     Ok((guard, flight))
 }
 
-fn limited<A: Arm + ArmPower + 'static>(wanted: Wanted<'_>, inner: A) -> Result<Box<dyn DrivenArm>> {
+fn limited<A: Arm + ArmPower + 'static>(wanted: Wanted<'_>, inner: A) -> Result<Box<dyn ArmControl>> {
     let limiter = Limiter::new(inner, wanted.arm.limits, wanted.arm.limiter.clone(), Arc::clone(wanted.clock));
     Ok(Box::new(limiter.with_context(|| format!("{}: limiter", wanted.name))?))
 }
@@ -344,9 +344,9 @@ impl<A: Arm + ArmPower> Backend for A {}
 type GuardedArm = Guard<Recorded<Box<dyn Backend>>>;
 
 /// The arm with this name, if it is emulated in simulated time.
-fn standing_arm((name, emulated): (&'static str, &Option<Emulation>)) -> Option<StandingArm> {
+fn standing_arm((name, emulated): (&'static str, &Option<Emulation>)) -> Option<SimulatedArm> {
     let Some(Emulation::Virtual(end, plant)) = emulated else { return None };
-    Some(StandingArm { name, end: end.clone(), plant: Arc::clone(plant) })
+    Some(SimulatedArm { name, end: end.clone(), plant: Arc::clone(plant) })
 }
 
 fn shared_plant(config: JointPlantConfig, wanted: Wanted<'_>) -> Result<SharedPlant> {
@@ -463,11 +463,13 @@ fn open(line: Line<'_>, seat: TripSeat, wanted: Wanted<'_>) -> Result<Pa10Arm> {
     for warning in opened.warnings() {
         tracing::warn!("{name}: {warning}");
     }
-    let seen = opened.monitor().snapshot();
-    if let Some(refusal) = seen.gateway.and_then(|hello| greeting::watchdog_refusal(arm.command_timeout, &hello)) {
+    let snapshot = opened.monitor().snapshot();
+    if let Some(refusal) =
+        snapshot.gateway.and_then(|hello| gateway_check::watchdog_refusal(arm.command_timeout, &hello))
+    {
         bail!("{name} cannot be used: {refusal}");
     }
-    if let Some(latched) = seen.latched {
+    if let Some(latched) = snapshot.latched {
         let arm = name.split('-').next().unwrap_or(name);
         bail!(
             "{name} cannot be used: {}; it was latched before this run; reset it with `pb3dp arm reset --config FILE --arm {arm}`",
@@ -494,7 +496,7 @@ pub(super) fn connect(line: Line<'_>, (seat, limits): (TripSeat, LimitsCheck), w
         Line::Gateway(link, connector) => {
             let opened = Pa10Arm::open(config(link), connector, clock, seat)?;
             if let Some(hello) = &opened.monitor().snapshot().gateway {
-                greeting::tell(name, link.geometry, hello);
+                gateway_check::tell(name, link.geometry, hello);
             }
             opened
         }
@@ -509,7 +511,7 @@ pub(super) fn connect(line: Line<'_>, (seat, limits): (TripSeat, LimitsCheck), w
                 target: link.target.clone(),
                 realtime: REALTIME,
             };
-            greeting::bus_doubts(link).for_each(|doubt| tracing::warn!("{name}: {doubt}"));
+            gateway_check::bus_doubts(link).for_each(|doubt| tracing::warn!("{name}: {doubt}"));
             Pa10Arm::open_on_bus(config, clock, seat)?
         }
     })

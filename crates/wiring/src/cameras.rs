@@ -163,16 +163,16 @@ fn first_pair(camera: &mut WatchedCamera, clock: &dyn Clock) -> Result<FramePair
     }
 }
 
-/// Accepts the first pairs of cameras that were disconnected: their cables may be exchanged. `are_told_apart`: serial numbers have shown
+/// Accepts the first pairs of cameras that were disconnected: their cables may be exchanged. `are_distinguished`: serial numbers have shown
 /// that they are not, and images with too little texture for a verdict are accepted.
 ///
 /// # Errors
 /// Unless the images show, or the serial numbers do, that left and right are as before.
-fn check_reopened(check: &PairCheck, are_told_apart: bool) -> Result<()> {
+fn check_reopened(check: &PairCheck, are_distinguished: bool) -> Result<()> {
     match check.accepted().context("connect each camera to its previous port")? {
-        Some(doubt) if are_told_apart => tracing::warn!("cameras: {doubt}"),
+        Some(doubt) if are_distinguished => tracing::warn!("cameras: {doubt}"),
         Some(doubt) => bail!("the cameras may be exchanged: {doubt}"),
-        None if are_told_apart || check.verdict == PairVerdict::Consistent => {}
+        None if are_distinguished || check.verdict == PairVerdict::Consistent => {}
         None => bail!(
             "too little texture to tell left from right: {} patches, {} of them match; turn the cameras to a textured scene, or use \
              cameras with serial numbers",
@@ -190,7 +190,7 @@ struct WatchedCamera {
     cameras: RealCameras,
     rig: StereoRig,
     pairs: u64,
-    is_drift_told: bool,
+    is_drift_reported: bool,
     /// How often the cameras were reopened before the images were checked last.
     checked: u64,
     /// Their controls for a page, if there may be one.
@@ -199,15 +199,15 @@ struct WatchedCamera {
 
 impl WatchedCamera {
     fn new(camera: ReopeningCamera, cameras: RealCameras, rig: StereoRig) -> Self {
-        Self { camera, cameras, rig, pairs: 0, is_drift_told: false, checked: 0, service: None }
+        Self { camera, cameras, rig, pairs: 0, is_drift_reported: false, checked: 0, service: None }
     }
 
     /// Checks the images of reopened cameras, until one pair shows that left and right are as before.
     fn check_order(&mut self, pair: &FramePair) -> Result<(), CameraError> {
         let reopened = self.camera.reopened();
         if reopened != self.checked {
-            let are_told_apart = self.camera.are_told_apart();
-            check_reopened(&check_pair(&self.rig, &pair.left, &pair.right), are_told_apart).map_err(|error| {
+            let are_distinguished = self.camera.are_distinguished();
+            check_reopened(&check_pair(&self.rig, &pair.left, &pair.right), are_distinguished).map_err(|error| {
                 let message = format!("{}: after reopening: {error:#}; no pairs until then", self.info().name);
                 CameraError::new(CameraErrorKind::BadPair, message)
             })?;
@@ -219,8 +219,8 @@ impl WatchedCamera {
     /// A warning about skew drift; each one only once until the cause is gone.
     fn look_at_drift(&mut self) -> Option<String> {
         let what = self.trouble(&self.camera.counters().drift?);
-        let was_told = std::mem::replace(&mut self.is_drift_told, what.is_some());
-        what.filter(|_| !was_told)
+        let was_reported = std::mem::replace(&mut self.is_drift_reported, what.is_some());
+        what.filter(|_| !was_reported)
     }
 
     fn trouble(&self, drift: &Drift) -> Option<String> {
@@ -309,7 +309,7 @@ mod tests {
     }
 
     /// Drift warnings of two cameras, the right one slower by `slowness`, with the pair number of each warning.
-    fn told(synchronisation: Synchronisation, slowness: f64, pairs: u64) -> Vec<(u64, String)> {
+    fn warnings(synchronisation: Synchronisation, slowness: f64, pairs: u64) -> Vec<(u64, String)> {
         let clock: Arc<dyn Clock> = Arc::new(VirtualClock::default());
         let (mut cameras, rig) = of_the_rig();
         cameras.synchronisation = synchronisation;
@@ -325,34 +325,34 @@ mod tests {
         let camera = ReopeningCamera::open(system, clock, cameras.stereo.clone(), cameras.reopen_for).unwrap();
         let mut camera = WatchedCamera::new(camera, cameras, rig);
         let mut pair = FramePair::black(camera.info().size);
-        let mut told = Vec::new();
+        let mut warnings = Vec::new();
         for number in 1..=pairs {
             camera.camera.next_pair_into(&mut pair, Duration::from_secs(1)).unwrap();
             if number % DRIFT_EVERY == 0 {
-                told.extend(camera.look_at_drift().map(|what| (number, what)));
+                warnings.extend(camera.look_at_drift().map(|what| (number, what)));
             }
         }
-        told
+        warnings
     }
 
     #[test]
-    fn free_running_cameras_are_told_before_their_pairs_are_refused_and_only_once() {
+    fn free_running_cameras_are_reported_once_before_their_pairs_are_refused() {
         // 0.1 ms per second: 5 ms are reached after 50 s, at pair 1500; 30 s earlier is pair 600.
-        let free = told(Synchronisation::FreeRunning, 1e-4, 1400);
+        let free = warnings(Synchronisation::FreeRunning, 1e-4, 1400);
         let [(number, what)] = free.as_slice() else { panic!("{free:?}") };
         assert!((600..=600 + 2 * DRIFT_EVERY).contains(number), "{free:?}");
         assert!(what.contains("drifts by 100 us per second and passes camera.skew_max_millis in"), "{what}");
-        assert_eq!(told(Synchronisation::FreeRunning, 1e-6, 1400), []);
+        assert_eq!(warnings(Synchronisation::FreeRunning, 1e-6, 1400), []);
     }
 
     #[test]
-    fn cameras_that_are_said_to_be_triggered_and_are_not_are_told() {
-        let apart = told(Synchronisation::HardwareTrigger, 1e-4, 1400);
+    fn cameras_that_are_not_triggered_as_stated_are_reported() {
+        let apart = warnings(Synchronisation::HardwareTrigger, 1e-4, 1400);
         assert!(
             matches!(apart.as_slice(), [(_, what)] if what.contains("the cameras are not triggered by one signal")),
             "{apart:?}"
         );
-        assert_eq!(told(Synchronisation::HardwareTrigger, 0.0, 1400), []);
+        assert_eq!(warnings(Synchronisation::HardwareTrigger, 0.0, 1400), []);
     }
 
     /// A plane at 500 mm: 370 px times 100 mm over 500 mm.
@@ -411,15 +411,15 @@ mod tests {
             assert!(camera.next_pair_into(&mut pair, Duration::from_millis(60)).is_err());
             system.with(number, |camera| (camera.faults.is_unplugged, camera.paint) = (false, paint)).unwrap();
         }
-        let (end, mut came, mut said) = (clock.now() + Duration::from_millis(700), 0, String::new());
+        let (end, mut came, mut error_text) = (clock.now() + Duration::from_millis(700), 0, String::new());
         while clock.now() < end {
             match camera.next_pair_into(&mut pair, Duration::from_millis(66)) {
                 Ok(()) => came += 1,
-                Err(error) => said = error.to_string(),
+                Err(error) => error_text = error.to_string(),
             }
         }
         assert!(camera.camera.reopened() > 0);
-        (came, said)
+        (came, error_text)
     }
 
     /// Without serial numbers the ports are the names, and only the images show which camera is in which port.
@@ -435,10 +435,10 @@ mod tests {
             (numbered, [grey, grey], None),
             (numbered, [right, left], Some("left and right look exchanged")),
         ] {
-            let (came, said) = after_reopening(serials, paints);
+            let (came, error_text) = after_reopening(serials, paints);
             match expected {
-                None => assert!(came > 3, "{came} came: {said}"),
-                Some(text) => assert!(came == 0 && said.contains(text), "{came} came: {said}"),
+                None => assert!(came > 3, "{came} came: {error_text}"),
+                Some(text) => assert!(came == 0 && error_text.contains(text), "{came} came: {error_text}"),
             }
         }
     }
@@ -461,7 +461,7 @@ mod tests {
         let mut camera = WatchedCamera::new(camera.unwrap(), cameras, rig);
         let (service, desk) = ControlService::new(Arc::clone(&clock), ["left".to_owned(), "right".to_owned()]);
         camera.service = Some(service);
-        let (tell, told) = channel();
+        let (tell, warnings) = channel();
         let set = |value: i32| {
             let tell = tell.clone();
             let request = ControlRequest::Set { side: 1, id: id::GAIN, value };
@@ -475,15 +475,15 @@ mod tests {
         let mut pair = FramePair::black(camera.info().size);
         let mut next = || camera.next_pair_into(&mut pair, Duration::from_millis(66)).is_ok();
         set(77);
-        assert!(told.try_recv().is_err(), "only the owner of the cameras sets a control");
+        assert!(warnings.try_recv().is_err(), "only the owner of the cameras sets a control");
         assert!(next());
-        assert_eq!((told.try_recv().unwrap(), gain(), desk.shown().problem), (Ok(()), Some(77), None));
+        assert_eq!((warnings.try_recv().unwrap(), gain(), desk.shown().problem), (Ok(()), Some(77), None));
         system.with(0, |camera| camera.faults.is_unplugged = true).unwrap();
         assert!(!next());
         assert!(desk.shown().problem.is_some());
         set(78);
         assert!(!next());
-        assert!(told.try_recv().unwrap().is_err());
+        assert!(warnings.try_recv().unwrap().is_err());
         system.with(0, |camera| camera.faults.is_unplugged = false).unwrap();
         assert!((0..100).any(|_| next()));
         assert!(next());

@@ -4,19 +4,19 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
-use pb3dp_arm_pa10::arm::{ArmMonitor, Pa10Arm, WishError, read_shared_key};
+use pb3dp_arm_pa10::arm::{ArmMonitor, Pa10Arm, RequestError, read_shared_key};
 use pb3dp_arm_pa10::driver::{FaultCause, LimitsCheck, Trip};
 use pb3dp_arm_pa10::serial::SerialError;
 use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockServer, SocketAddr};
 use pb3dp_arm_pa10_gateway::service::Access;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{GatewayState, StopCause};
-use pb3dp_cell::parts::{ArmChoice, DrivenArm};
+use pb3dp_cell::parts::{ArmChoice, ArmControl};
 use pb3dp_hal_api::Clock;
 use pb3dp_hal_middleware::{FlightLog, StartPose};
 use pb3dp_hal_platform::tcp::{TcpConfig, TcpError};
 use pb3dp_setup::setup::{ArmLink, GatewayWay, Setup};
 
-use super::arm::{AloneArm, Wanted, WiredArms, alone, connect, emulate, line, wire_alone, wire_arms};
+use super::arm::{SingleArm, Wanted, WiredArms, alone, connect, emulate, line, wire_alone, wire_arms};
 
 pub use super::arm::LIMITS_TOLERANCE_DEG;
 
@@ -24,7 +24,7 @@ pub use super::arm::LIMITS_TOLERANCE_DEG;
 const SPEED_SCALE_MAX: f64 = 0.10;
 
 /// An arm that is only probed. Its limits are read but not compared.
-pub struct SeenArm {
+pub struct ObservedArm {
     /// The arm.
     pub arm: Pa10Arm,
     /// Address or port of its link, for messages.
@@ -42,14 +42,14 @@ fn wanted<'a>(setup: &'a Setup, choice: ArmChoice, clock: &'a Arc<dyn Clock>) ->
 ///
 /// # Errors
 /// If it has no link, or does not answer as configured.
-pub fn see(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Clock>) -> Result<SeenArm> {
+pub fn see(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Clock>) -> Result<ObservedArm> {
     let wanted = wanted(setup, choice, clock);
     let Some((line, emulated)) = line(wanted)? else {
         bail!("{}.backend = \"mock\" has no link to an arm; set emulated, serial, tcp or arcnet", choice.of(setup).key)
     };
     let (target, emulated) = (line.target(), emulated.and_then(|(emulation, _)| emulation.into_server()));
     let arm = connect(line, (alone()?, LimitsCheck::Read), wanted)?;
-    Ok(SeenArm { arm, target, emulated })
+    Ok(ObservedArm { arm, target, emulated })
 }
 
 /// Checks with `--alone` that the other arm is disabled or disconnected: nobody else monitors it then.
@@ -61,8 +61,8 @@ pub fn check_other_is_off(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Cloc
     if other.of(setup).link.is_toy() {
         return Ok(());
     }
-    let seen = match see(setup, other, clock) {
-        Ok(seen) => seen.arm.monitor().snapshot(),
+    let observed = match see(setup, other, clock) {
+        Ok(observed) => observed.arm.monitor().snapshot(),
         Err(error) if is_absent(&error, &other.of(setup).link) => {
             tracing::info!("--alone: {} is disconnected: {error:#}", other.name());
             return Ok(());
@@ -76,7 +76,7 @@ pub fn check_other_is_off(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Cloc
     };
     let is_on =
         |state: GatewayState| !matches!(state, GatewayState::Idle | GatewayState::Fault | GatewayState::EmergencyStop);
-    if let Some(found) = seen.gateway_found.filter(|found| is_on(found.state)) {
+    if let Some(found) = observed.gateway_found.filter(|found| is_on(found.state)) {
         bail!(
             "--alone: the gateway of {} is in the state {}: its drives may be enabled; stop it, or leave --alone out",
             other.name(),
@@ -104,7 +104,7 @@ fn is_absent(error: &anyhow::Error, link: &ArmLink) -> bool {
     let is_serial = matches!(link, ArmLink::Gateway(_, GatewayWay::Serial { .. }));
     error.chain().any(|cause| {
         matches!(cause.downcast_ref(), Some(SerialError::Missing { .. }))
-            || (is_serial && matches!(cause.downcast_ref(), Some(WishError::NoGateway)))
+            || (is_serial && matches!(cause.downcast_ref(), Some(RequestError::NoGateway)))
             || cause.is::<TcpError>()
     })
 }
@@ -117,7 +117,7 @@ pub fn is_of_another_format(trip: &Trip) -> bool {
 /// An arm that may move slowly.
 pub struct SlowArm {
     /// Behind limiter and guard.
-    pub driven: Box<dyn DrivenArm>,
+    pub driven: Box<dyn ArmControl>,
     /// Monitor of its link, if it has one.
     pub monitor: Option<ArmMonitor>,
     /// Its flight recorder.
@@ -131,7 +131,7 @@ pub struct SlowArm {
 /// The other arm of a workcell.
 pub struct OtherArm {
     /// Behind limiter, coupling and guard.
-    pub driven: Box<dyn DrivenArm>,
+    pub driven: Box<dyn ArmControl>,
     /// Monitor of its link, if it has one.
     pub monitor: Option<ArmMonitor>,
     /// Its flight recorder.
@@ -166,7 +166,7 @@ pub fn slow_setup(setup: &Setup, choice: ArmChoice, joint_max_rad_per_s: f64) ->
 /// If an arm does not answer as configured.
 pub fn wire_slow(setup: &Setup, choice: ArmChoice, beside_other: bool, clock: &Arc<dyn Clock>) -> Result<SlowArm> {
     if !beside_other {
-        let AloneArm { driven, monitor, flight, emulated } = wire_alone(wanted(setup, choice, clock))?;
+        let SingleArm { driven, monitor, flight, emulated } = wire_alone(wanted(setup, choice, clock))?;
         return Ok(SlowArm { driven, monitor, flight, other: None, emulated: emulated.into_iter().collect() });
     }
     let WiredArms { driven: [vs, tc], flights: [(_, vs_flight), (_, tc_flight)], monitors, emulated, .. } =
@@ -242,13 +242,13 @@ mod tests {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/hil.toml");
         let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
         let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
-        let told = |absent: ArmChoice| {
+        let refusal_of = |absent: ArmChoice| {
             let mut setup = read_setup(&file).unwrap();
             set_line(&mut setup, absent, free, key.clone());
             let refused = wire_slow(&setup, ArmChoice::Vs, true, &clock).err().unwrap();
             format!("{refused:#}")
         };
-        let (own, other) = (told(ArmChoice::Vs), told(ArmChoice::Tc));
+        let (own, other) = (refusal_of(ArmChoice::Vs), refusal_of(ArmChoice::Tc));
         assert!(own.contains("vs-robot") && !own.contains("both arms") && !own.contains("--alone"), "{own}");
         assert!(other.contains("tc-robot") && other.contains("if the tc-robot is powered off, use --alone"), "{other}");
     }

@@ -38,15 +38,15 @@ pub fn raw_lines(monitors: &[(&'static str, ArmMonitor)], arm: &str) -> Vec<RawL
 /// Cause of an arm's stop from its driver, and counts of its link; none without a link.
 pub fn line_facts(monitors: &[(&'static str, ArmMonitor)], arm: &str) -> (Option<ArmFault>, Option<LineCounts>) {
     let Some((_, monitor)) = monitors.iter().find(|(name, _)| *name == arm) else { return (None, None) };
-    let seen = monitor.snapshot();
-    let fault = seen.latched.map(|latched| ArmFault {
+    let snapshot = monitor.snapshot();
+    let fault = snapshot.latched.map(|latched| ArmFault {
         at: latched.at,
         joint: latched.trip.axis().map(Axis::index),
         code: latched.trip.code().map(u16::from),
         cause: latched.trip.to_string(),
         state_before: latched.state_before.to_string(),
     });
-    let (link, line) = (&seen.counters, &seen.line);
+    let (link, line) = (&snapshot.counters, &snapshot.line);
     let counts = LineCounts {
         sent: link.sent,
         answered: link.answered,
@@ -58,7 +58,7 @@ pub fn line_facts(monitors: &[(&'static str, ArmMonitor)], arm: &str) -> (Option
         crc_errors: line.crc_errors,
         header_errors: line.header_errors,
         resyncs: line.resyncs,
-        unsent: seen.frames_unsent,
+        unsent: snapshot.frames_unsent,
     };
     (fault, Some(counts))
 }

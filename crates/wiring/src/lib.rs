@@ -1,20 +1,20 @@
 //! From a setup to the devices of a run: combines backends, limiter, guard and coupling.
 
 pub mod arm;
-mod at_once;
 pub mod calibration;
 pub mod camera_controls;
 mod cameras;
 pub mod commissioning;
 mod flights;
-mod greeting;
+mod gateway_check;
 mod key_files;
 pub mod message_codes;
-mod nominal;
+mod nominal_calibration;
+mod parallel;
 pub mod reset_standing;
 mod simulated;
+pub mod simulated_arms;
 mod sole_program;
-pub mod standing;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -42,11 +42,11 @@ use pb3dp_sim::trajectory::{AtRest, Trajectory};
 use self::arm::{EmulatedServer, MonitoredLink, WiredArms, wire_arms_to};
 use self::camera_controls::{BareCameras, ControlService};
 use self::simulated::wire_sight;
-use self::standing::StandingArm;
+use self::simulated_arms::SimulatedArm;
 pub use flights::{line_facts, raw_lines, write_flights};
-pub use greeting::{bus_doubts, geometry_doubt, watchdog_refusal};
+pub use gateway_check::{bus_doubts, geometry_doubt, watchdog_refusal};
 pub use key_files::check_key_files;
-pub use nominal::{MOCK_ARM, accept_nominal};
+pub use nominal_calibration::{MOCK_ARM, accept_nominal};
 
 use pb3dp_cell::camera_controls::ControlDesk;
 use pb3dp_cell::cell::{FreeTarget, SimulatedCell};
@@ -55,7 +55,7 @@ use pb3dp_cell::operator::ByCommand;
 use pb3dp_cell::paced_clock::PacedClock;
 use pb3dp_cell::parts::{EmulatedArm, LinkMonitor, Parts};
 use pb3dp_cell::paths::check_paths;
-use pb3dp_cell::perception::{Marking, NOT_MARKED, Sight};
+use pb3dp_cell::perception::{NOT_MARKED, TargetSource, VisionInput};
 use pb3dp_cell::selection::Selections;
 use pb3dp_cell::stepped::{SteppedRun, check_simulated};
 use pb3dp_setup::region_spec::load_region;
@@ -89,7 +89,7 @@ pub struct VirtualWorld {
     /// The time; none in real time.
     pub time: Option<Arc<VirtualTime>>,
     /// The arms.
-    pub arms: Vec<StandingArm>,
+    pub arms: Vec<SimulatedArm>,
 }
 
 /// Wires the workcell with the experiment of the setup.
@@ -171,10 +171,10 @@ fn wire_experiment(setup: &Setup, needs: &RunNeeds, video: Arc<dyn VideoSystem>)
     })?;
     wired.parts.pushed = pushed;
     if needs.selects_targets {
-        if matches!(wired.parts.marking, Marking::Nobody) {
-            wired.parts.marking = Marking::Awaited;
+        if matches!(wired.parts.marking, TargetSource::None) {
+            wired.parts.marking = TargetSource::FromOperator;
         }
-        if matches!(wired.parts.camera, Sight::Images(_)) {
+        if matches!(wired.parts.camera, VisionInput::Images(_)) {
             let selections = Selections::default();
             selections.set_target_of_setup(&wired.parts.marking);
             wired.parts.selections = Some(selections);
@@ -250,16 +250,16 @@ fn wire_cell_with(
     let (camera, marking) = match (&setup.rig.real_cameras, &setup.world) {
         (Some(real), _) => {
             if let Some(says) = &setup.rig.nominal_calibration {
-                nominal::look_at_arms(says, &monitors)?;
+                nominal_calibration::look_at_arms(says, &monitors)?;
             }
             let wired = cameras::wire_real(real, setup, (video, Arc::clone(&clock)))?;
             (cameras, camera_controls) = (Some(wired.identities), Some(wired.controls));
             let region = real.region.as_ref().map(|region| load_region(region, real.size())).transpose()?;
-            (Sight::Images(wired.camera), region.map_or(Marking::Nobody, Marking::Region))
+            (VisionInput::Images(wired.camera), region.map_or(TargetSource::None, TargetSource::Region))
         }
         (None, Some(world)) => {
             let (camera, outline_m) = wire_sight(setup, world, &mut cell, &clock)?;
-            (camera, Marking::Outline(outline_m))
+            (camera, TargetSource::Outline(outline_m))
         }
         (None, None) => bail!("the setup has neither real cameras nor a simulated world"),
     };
@@ -394,7 +394,7 @@ mod tests {
         setup.world.as_mut().unwrap().faults.list =
             vec![CameraFault { kind, from: Duration::ZERO, until: Duration::from_secs(3600) }];
         setup.reseed(seed);
-        let Sight::Geometric(mut camera) = wire(&setup).unwrap().camera else { panic!("images are rendered") };
+        let VisionInput::Geometric(mut camera) = wire(&setup).unwrap().camera else { panic!("images are rendered") };
         (0..60).filter_map(|_| camera.next_frame(Duration::from_secs(1)).ok()).collect()
     }
 

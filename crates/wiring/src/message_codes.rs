@@ -2,7 +2,7 @@
 
 use std::error::Error;
 
-use pb3dp_arm_pa10::arm::{AccessError, WishError};
+use pb3dp_arm_pa10::arm::{AccessError, RequestError};
 use pb3dp_arm_pa10::driver::{EmergencyStopCause, FaultCause, Refusal, WarmUpFailure};
 use pb3dp_arm_pa10::link::{HeldError, HelloError};
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfigError;
@@ -41,7 +41,7 @@ pub fn code_of(error: &anyhow::Error) -> Option<&'static MessageCode> {
 }
 
 /// An error with its sources and its code, as a log line shows it. A message that already ends with a code stays as it is.
-pub fn in_words(error: &anyhow::Error) -> String {
+pub fn error_text(error: &anyhow::Error) -> String {
     let text = format!("{error:#}");
     match code_of(error) {
         Some(known) if !text.contains(PREFIX) => format!("{text} [{}]", known.code),
@@ -57,8 +57,8 @@ fn of_device(error: &(dyn Error + 'static)) -> Option<&'static MessageCode> {
     let gateway = || error.downcast_ref::<GatewayConfigError>().map(Coded::message_code);
     let access = || error.downcast_ref::<AccessError>().map(Coded::message_code);
     let panel = || error.downcast_ref::<pb3dp_panel::Refusal>().map(Coded::message_code);
-    let held = || match error.downcast_ref::<WishError>() {
-        Some(WishError::Gateway(HelloError::Held(held))) => Some(held.message_code()),
+    let held = || match error.downcast_ref::<RequestError>() {
+        Some(RequestError::Gateway(HelloError::Held(held))) => Some(held.message_code()),
         _ => None,
     };
     fault.or_else(stop).or_else(warm_up).or_else(refusal).or_else(gateway).or_else(access).or_else(panel).or_else(held)
@@ -77,18 +77,18 @@ mod tests {
 
     #[test]
     fn codes_have_one_form_and_are_given_once_with_sentences() {
-        let mut seen = BTreeSet::new();
+        let mut unique = BTreeSet::new();
         for code in tables().into_iter().flat_map(|(_, codes)| codes) {
             let parts: Vec<&str> = code.code.split('-').collect();
             let is_well_formed = matches!(parts[..], ["PB3DP", area, number]
                 if area.chars().all(|c| c.is_ascii_uppercase()) && number.len() == 3 && number.parse::<u16>().is_ok());
             assert!(is_well_formed, "{}", code.code);
-            assert!(seen.insert(code.code), "{} is given twice", code.code);
+            assert!(unique.insert(code.code), "{} is given twice", code.code);
             for text in [code.cause, code.remedy] {
                 assert!(text.len() > 7 && text.ends_with('.') && text.len() < 200, "{}: {text}", code.code);
             }
         }
-        assert!(seen.len() > 100, "{}", seen.len());
+        assert!(unique.len() > 100, "{}", unique.len());
     }
 
     #[test]
@@ -101,8 +101,8 @@ mod tests {
         assert_eq!(code_of(&anyhow::Error::new(silent).context("run")).unwrap().code, "PB3DP-ARM-003");
         assert_eq!(code_of(&anyhow::anyhow!("something else")), None);
         let silent = ArmError::new(ArmErrorKind::Timeout, "arm vs-robot: late");
-        assert_eq!(in_words(&anyhow::Error::new(silent).context("run")), "run: arm vs-robot: late [PB3DP-ARM-003]");
-        assert_eq!(in_words(&anyhow::anyhow!("held [PB3DP-SUP-001]")), "held [PB3DP-SUP-001]");
+        assert_eq!(error_text(&anyhow::Error::new(silent).context("run")), "run: arm vs-robot: late [PB3DP-ARM-003]");
+        assert_eq!(error_text(&anyhow::anyhow!("held [PB3DP-SUP-001]")), "held [PB3DP-SUP-001]");
         for code in ["PB3DP-ARM-104", "pb3dp-arm-104", "ARM-104", "[PB3DP-ARM-104]"] {
             assert_eq!(find(code).unwrap().code, "PB3DP-ARM-104", "{code}");
         }

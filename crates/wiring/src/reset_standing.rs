@@ -9,13 +9,13 @@ use pb3dp_hal_api::{ArmPower, Clock};
 use pb3dp_setup::setup::{ArmLink, GatewayWay, Setup};
 
 use super::arm::{Line, Wanted, connect};
-use super::standing::StandingArm;
+use super::simulated_arms::SimulatedArm;
 
 /// Resets an arm in simulated time, as `pb3dp arm reset` does: nothing else, and its brakes stay closed.
 ///
 /// # Errors
 /// If the arm cannot be connected, or a cause of its stop is present.
-pub fn reset_standing(setup: &Setup, (arm, time): (&StandingArm, &Arc<VirtualTime>)) -> Result<()> {
+pub fn reset_standing(setup: &Setup, (arm, time): (&SimulatedArm, &Arc<VirtualTime>)) -> Result<()> {
     let of_setup = if arm.name == "vs-robot" { &setup.rig.arms.vs } else { &setup.rig.arms.tc };
     let ArmLink::Gateway(link, GatewayWay::Emulated) = &of_setup.link else { bail!("{} has no gateway", arm.name) };
     let clock: Arc<dyn Clock> = Arc::clone(time) as Arc<dyn Clock>;

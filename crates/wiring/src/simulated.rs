@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use nalgebra::Point3;
 use pb3dp_camera_sim::{FaultyCamera, GeometricCamera, SimCameraConfig, SimStereoCamera};
 use pb3dp_cell::cell::SimulatedCell;
-use pb3dp_cell::perception::{PoseCamera, Sight};
+use pb3dp_cell::perception::{PoseCamera, VisionInput};
 use pb3dp_hal_api::{CameraError, Clock, StereoCamera};
 use pb3dp_setup::setup::{FrameTiming, Leader, Pace, Setup, SimulatedWorld};
 use pb3dp_sim::geometric::{GeometricFrame, GeometricTracker, PoseSigma};
@@ -15,7 +15,7 @@ use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::Scene;
 use pb3dp_sim::targets;
 
-use crate::at_once::at_once;
+use crate::parallel::parallel;
 
 /// The simulated camera or its geometric substitute, and the outline of the target; sets all poses of the workcell to the true ones.
 pub(super) fn wire_sight(
@@ -23,7 +23,7 @@ pub(super) fn wire_sight(
     world: &SimulatedWorld,
     cell: &mut SimulatedCell,
     clock: &Arc<dyn Clock>,
-) -> Result<(Sight, Vec<Point3<f64>>)> {
+) -> Result<(VisionInput, Vec<Point3<f64>>)> {
     cell.follow_truth(&world.truth);
     let (poses, began) = (Box::new(cell.clone()), clock.now());
     let (clock, faults) = (Arc::clone(clock), world.faults.clone());
@@ -38,20 +38,20 @@ pub(super) fn wire_sight(
             cell.scene = Some(Arc::new(renderer.clone()));
             if setup.pace != Pace::Fast {
                 // A pair must be ready before the next one.
-                renderer = renderer.with_run_both(at_once);
+                renderer = renderer.with_run_both(parallel);
             }
             let camera = SimStereoCamera::new(renderer, poses, clock, timing)?;
             let camera: Box<dyn StereoCamera> = match faults.list.is_empty() {
                 true => Box::new(camera),
                 false => Box::new(FaultyCamera::new(camera, faults, began).context("table [camera]")?),
             };
-            Ok((Sight::Images(camera), outline_m))
+            Ok((VisionInput::Images(camera), outline_m))
         }
         Leader::Geometric(config) => {
             let target = targets::model(&world.scene.target, world.scene.seed).context("table [scene]")?;
             let tracker = GeometricTracker::new(config, *setup.true_rig(), target.outline_m.clone())?;
             let camera = GeometricCamera::new(tracker, poses, clock, &timing)?.with_faults(faults, began)?;
-            Ok((Sight::Geometric(Box::new(Poses(camera))), target.outline_m))
+            Ok((VisionInput::Geometric(Box::new(Poses(camera))), target.outline_m))
         }
     }
 }

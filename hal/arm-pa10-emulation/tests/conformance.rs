@@ -182,6 +182,6 @@ fn shared_joints_answer_for_the_past() {
     exchange_for(&mut arm, &clock, velocity(0.2), 30);
     let measured = arm.exchange(velocity(0.2)).unwrap();
     exchange_for(&mut arm, &clock, velocity(-0.2), 10);
-    let seen = arm.plant().lock().unwrap().position_at(measured.at).unwrap();
-    assert!((seen - measured.position_rad).amax() <= 0.51 * PA10_ANGLE_QUANTUM_RAD);
+    let true_position = arm.plant().lock().unwrap().position_at(measured.at).unwrap();
+    assert!((true_position - measured.position_rad).amax() <= 0.51 * PA10_ANGLE_QUANTUM_RAD);
 }

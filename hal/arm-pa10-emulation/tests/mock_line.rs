@@ -73,14 +73,14 @@ fn a_clock_that_jumps_shows_in_every_frame_of_its_side() {
     assert_eq!([times(&sent[0]), times(&sent[1])], [[u64::MAX], [u64::MAX]]);
     assert_eq!(after(jump(Side::Host, 5), 1), [frame()]);
     let mut controller = controller();
-    let mut heard = Vec::new();
+    let mut answer = Vec::new();
     for by_us in [3_600_000_000, -600_000_000] {
         controller.inject(START, Fault::Line(jump(Side::Host, by_us)));
         for piece in [frame(), frame()].concat().chunks(7) {
-            controller.hear_on_line(START, piece, |bytes| heard.extend_from_slice(bytes));
+            controller.hear_on_line(START, piece, |bytes| answer.extend_from_slice(bytes));
         }
     }
-    assert_eq!(times(&heard), [3_600_000_077, 3_600_000_077, 3_000_000_077, 3_000_000_077]);
+    assert_eq!(times(&answer), [3_600_000_077, 3_600_000_077, 3_000_000_077, 3_000_000_077]);
 }
 
 #[test]
@@ -93,7 +93,7 @@ fn a_slow_reader_takes_so_many_bytes_in_a_second() {
             now = now + Duration::from_millis(1);
             let bytes = [0; 50];
             let room = controller.readable_on_line(now).min(bytes.len());
-            controller.hear_on_line(now, &bytes[..room], |heard| count += heard.len());
+            controller.hear_on_line(now, &bytes[..room], |answer| count += answer.len());
             let again = controller.reads_line_again();
             assert!(controller.readable_on_line(now) > 0 || rate == Some(0) || again.is_some_and(|again| again > now));
         }

@@ -60,7 +60,7 @@ fn a_line_that_is_wrong_is_named_with_its_word() {
         ("e-stop pres", "the emergency stop is `pres`; write press or release"),
         ("drop three", "the number of replies is `three`; write a whole number such as 3"),
         ("drop -1", "the number of replies is `-1`"),
-        ("drop 3 4", "`4` is one word too many; remove it"),
+        ("drop 3 4", "unexpected argument `4`; remove it"),
         ("at 3 drop 1", "the time is `3`; write a time such as 1.5s, 20ms or 300us"),
         ("at -1s drop 1", "the time is `-1s`"),
         ("at infs drop 1", "the time is `infs`"),

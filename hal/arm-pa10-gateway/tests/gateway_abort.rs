@@ -32,7 +32,7 @@ fn it_stops_and_latches_in_every_state_and_keeps_the_first_cause() {
         bench.lead_to(state);
         let before = bench.cause();
         bench.sent.clear();
-        bench.heard.clear();
+        bench.messages.clear();
         for _ in 0..2 {
             abort(&mut bench);
             let expected = match state {
@@ -48,8 +48,8 @@ fn it_stops_and_latches_in_every_state_and_keeps_the_first_cause() {
         let latched = matches!(state, GatewayState::Fault | GatewayState::EmergencyStop);
         assert_eq!(ends, usize::from(!latched), "{state}: {}", bench.letters());
         // The sender of ABORT needs no report.
-        let told = bench.heard.iter().filter(|(_, message)| matches!(message, GatewayMessage::Fault(_)));
-        assert_eq!(told.count(), 0, "{state}");
+        let fault_reports = bench.messages.iter().filter(|(_, message)| matches!(message, GatewayMessage::Fault(_)));
+        assert_eq!(fault_reports.count(), 0, "{state}");
         let started = bench.ask(control(ArmOperation::Start));
         assert_eq!(rejected(started), (RejectReason::WrongState, bench.state().code().into()), "{state}");
         let reset = bench.ask(control(ArmOperation::Reset));
@@ -71,7 +71,7 @@ fn it_cuts_short_what_a_host_has_asked_for() {
         abort(&mut bench);
         bench.run(ms(50));
         assert_eq!((bench.state(), bench.cause()), (GatewayState::Fault, StopCause::HostFault), "{task:?}");
-        let answers = bench.heard.iter().filter(|(frame, _)| frame.sequence == asked).map(|(_, answer)| *answer);
+        let answers = bench.messages.iter().filter(|(frame, _)| frame.sequence == asked).map(|(_, answer)| *answer);
         let refused = answers.map(rejected).collect::<Vec<_>>();
         assert_eq!(refused, [(RejectReason::WrongState, GatewayState::Fault.code().into())], "{task:?}");
         assert!(bench.letters().ends_with('E'), "{task:?}: {}", bench.letters());
@@ -94,7 +94,7 @@ fn it_ends_a_reset_that_is_under_way() {
         let cause = if was_under_way { StopCause::ServoAlarm } else { StopCause::HostFault };
         assert_eq!((bench.state(), bench.cause()), (GatewayState::Fault, cause), "after {step} ms");
         assert!(bench.gateway.is_at_rest());
-        assert_eq!(bench.heard.iter().filter(|(frame, _)| frame.sequence == asked).count(), 1);
+        assert_eq!(bench.messages.iter().filter(|(frame, _)| frame.sequence == asked).count(), 1);
     }
 }
 
@@ -123,11 +123,11 @@ fn it_latches_without_a_controller() {
         assert_eq!((bench.state(), bench.cause()), (GatewayState::Fault, StopCause::HostFault), "{state}");
         // The reset is still refused because of the controller.
         assert_eq!(rejected(bench.ask(control(ArmOperation::Reset))).0, RejectReason::NoAnswer, "{state}");
-        let said = || bench.sent.iter().rev().take(50);
-        assert!(!said().any(|sent| sent.message.letter() == Letter::Start), "{state}");
+        let last_commands = || bench.sent.iter().rev().take(50);
+        assert!(!last_commands().any(|sent| sent.message.letter() == Letter::Start), "{state}");
         let holds = |axis: &AxisCommand| *axis == AxisCommand::Braked;
         let is_held = |message| !matches!(message, ControlMessage::Cyclic(command) if !command.axes.iter().all(holds));
-        assert!(said().all(|sent| is_held(sent.message)), "{state}");
+        assert!(last_commands().all(|sent| is_held(sent.message)), "{state}");
     }
 }
 

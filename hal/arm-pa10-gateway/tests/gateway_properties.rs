@@ -93,9 +93,9 @@ struct Watched {
     /// Time of the last command, whether or not it was accepted.
     commanded: MonotonicTime,
     /// Frames that must get one answer each.
-    told: Vec<u16>,
+    reported: Vec<u16>,
     checked: usize,
-    heard: usize,
+    messages: usize,
     last: Option<Sent>,
     opened: [Option<MonotonicTime>; 7],
     latched: bool,
@@ -110,9 +110,9 @@ impl Watched {
         Self {
             bench,
             commanded,
-            told: Vec::new(),
+            reported: Vec::new(),
             checked: 0,
-            heard: 0,
+            messages: 0,
             last: None,
             opened: [None; 7],
             latched: false,
@@ -125,7 +125,7 @@ impl Watched {
             self.commanded = self.bench.now;
         }
         let sequence = self.bench.tell(message);
-        self.told.push(sequence);
+        self.reported.push(sequence);
     }
 
     fn run(&mut self, time: Duration) {
@@ -172,7 +172,7 @@ impl Watched {
             Happening::HostGone => {
                 self.bench.gateway.handle_host_gone(self.bench.now);
                 // Pending answers have no receiver.
-                self.told.clear();
+                self.reported.clear();
             }
             Happening::Up => self.go_up(),
             Happening::DropReplies(count) => self.bench.controller.drop_next = *count,
@@ -216,11 +216,11 @@ impl Watched {
         }
         let state = self.bench.state();
         let latched = matches!(state, GatewayState::Fault | GatewayState::EmergencyStop);
-        let heard = &self.bench.heard[self.heard..];
-        let was_reset = heard.iter().any(|(_, message)| {
+        let messages = &self.bench.messages[self.messages..];
+        let was_reset = messages.iter().any(|(_, message)| {
             matches!(message, GatewayMessage::ControlReply(reply) if reply.control == Control::Arm(ArmOperation::Reset))
         });
-        self.heard = self.bench.heard.len();
+        self.messages = self.bench.messages.len();
         match (self.latched, latched) {
             (false, true) => (self.latched, self.open_since_latch) = (true, 0),
             (true, false) => {
@@ -276,9 +276,9 @@ impl Watched {
         if let Some(Sent { message: ControlMessage::Cyclic(command), .. }) = self.last {
             assert!(command.axes.iter().all(|axis| !matches!(axis, AxisCommand::Speed(_))), "{command:?}");
         }
-        for sequence in &self.told {
+        for sequence in &self.reported {
             let answers =
-                self.bench.heard.iter().filter(|(frame, message)| {
+                self.bench.messages.iter().filter(|(frame, message)| {
                     frame.sequence == *sequence && !matches!(message, GatewayMessage::Fault(_))
                 });
             assert_eq!(answers.count(), 1, "answers to frame {sequence}");

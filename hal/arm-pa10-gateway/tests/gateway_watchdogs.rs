@@ -67,7 +67,7 @@ fn speed_of_axis_7(sent: &Sent) -> f64 {
 fn faults(bench: &Bench) -> Vec<FaultReport> {
     let report =
         |message: &GatewayMessage| if let GatewayMessage::Fault(report) = message { Some(*report) } else { None };
-    bench.heard.iter().filter_map(|(_, message)| report(message)).collect()
+    bench.messages.iter().filter_map(|(_, message)| report(message)).collect()
 }
 
 #[test]
@@ -75,11 +75,11 @@ fn a_command_whose_successor_stays_away_fades_and_stops() {
     let mut bench = moving();
     let command = bench.command(DriveMode::Follow, velocity());
     bench.ask(command);
-    let said = bench.now;
+    let stopped_at = bench.now;
     bench.sent.clear();
     bench.run(ms(400));
     for sent in bench.sent.iter().filter(|sent| sent.message.letter() == Letter::Cyclic) {
-        let age = sent.at.saturating_since(said).as_secs_f64();
+        let age = sent.at.saturating_since(stopped_at).as_secs_f64();
         let part = ((0.050 - age) / 0.030).clamp(0.0, 1.0);
         let got = if kind(sent) == Kind::Motion { speed_of_axis_7(sent) } else { 0.0 };
         assert!((got - 0.7 * part).abs() <= 1.01e-4, "{age} s: {got} instead of {}", 0.7 * part);
@@ -92,8 +92,9 @@ fn a_command_whose_successor_stays_away_fades_and_stops() {
     assert_eq!((bench.state(), bench.cause()), (GatewayState::Fault, StopCause::HostSilent));
     let runs = runs(&bench.sent);
     assert_eq!(runs[1..], [(Kind::Rest, 5), (Kind::Braked, 101), (Kind::Off, 1), (Kind::Letter(Letter::End), 1)]);
-    let told = FaultReport { cause: StopCause::HostSilent, state_before: GatewayState::Moving, axis: None, word: 0 };
-    assert_eq!(faults(&bench), [told]);
+    let reported =
+        FaultReport { cause: StopCause::HostSilent, state_before: GatewayState::Moving, axis: None, word: 0 };
+    assert_eq!(faults(&bench), [reported]);
 }
 
 #[test]
@@ -174,11 +175,11 @@ fn two_lost_replies_are_tolerated_and_the_third_stops_the_arm() {
         // The order advances by time until the brakes are closed: servos off and E need a controller that has received this.
         bench.run(ms(500));
         let count = |wanted: Kind| bench.sent.iter().filter(|sent| kind(sent) == wanted).count();
-        let heard_of_brakes = lost_from == GatewayState::Started;
-        assert_eq!(count(Kind::Letter(Letter::End)), if heard_of_brakes { 3 } else { 0 });
-        assert_eq!(count(Kind::Off) > 0, heard_of_brakes);
+        let brakes_acknowledged = lost_from == GatewayState::Started;
+        assert_eq!(count(Kind::Letter(Letter::End)), if brakes_acknowledged { 3 } else { 0 });
+        assert_eq!(count(Kind::Off) > 0, brakes_acknowledged);
         assert_eq!(kind(bench.sent.last().unwrap()), Kind::Braked);
-        assert!(!bench.gateway.is_at_rest() && bench.gateway.status().is_unheard);
+        assert!(!bench.gateway.is_at_rest() && bench.gateway.status().stop_unacknowledged);
         // The order is repeated until the controller answers, and the brake time counts from there.
         bench.sent.clear();
         bench.run(ms(5000));
@@ -188,7 +189,7 @@ fn two_lost_replies_are_tolerated_and_the_third_stops_the_arm() {
         bench.run(ms(220));
         assert_eq!(runs(&bench.sent)[1..], [(Kind::Off, 1), (Kind::Letter(Letter::End), 1)]);
         assert!((101..=102).contains(&runs(&bench.sent)[0].1), "{:?}", runs(&bench.sent));
-        assert!(bench.gateway.is_at_rest() && !bench.gateway.status().is_unheard);
+        assert!(bench.gateway.is_at_rest() && !bench.gateway.status().stop_unacknowledged);
         assert_eq!((bench.state(), bench.cause()), (GatewayState::Fault, StopCause::ControllerSilent));
     }
 }
@@ -286,13 +287,13 @@ fn the_stop_order_ramps_rests_brakes_and_ends() {
     bench.sent.clear();
     let answer = bench.ask(control(ArmOperation::Stop));
     assert!(matches!(answer, GatewayMessage::ControlReply(reply) if reply.state == GatewayState::Stopping));
-    let said = bench.now;
+    let stopped_at = bench.now;
     bench.run(ms(10));
     // A second stop order changes nothing.
     assert!(matches!(bench.ask(control(ArmOperation::Stop)), GatewayMessage::ControlReply(_)));
     bench.run(ms(390));
     for sent in bench.sent.iter().filter(|sent| sent.message.letter() == Letter::Cyclic) {
-        let left = 1.0 - sent.at.saturating_since(said).as_secs_f64() / 0.030;
+        let left = 1.0 - sent.at.saturating_since(stopped_at).as_secs_f64() / 0.030;
         let ControlMessage::Cyclic(command) = sent.message else { panic!() };
         let expected = velocity() * left.max(0.0);
         assert!((command.velocity_rad_per_s() - expected).amax() <= 1.01e-4, "{sent:?}");
@@ -520,7 +521,7 @@ fn a_controller_that_is_off_is_no_fault_at_the_start() {
     assert_eq!(rejected(bench.ask(control(ArmOperation::Start))), (RejectReason::NoAnswer, 0));
     assert!(bench.now.saturating_since(asked) <= ms(50));
     assert_eq!(bench.letters().trim_matches('C'), "E");
-    assert!(bench.gateway.status().is_unheard);
+    assert!(bench.gateway.status().stop_unacknowledged);
     // The controller is powered on.
     bench.controller.answers = true;
     bench.run(ms(10));

@@ -20,7 +20,7 @@ use pb3dp_kinematics::JointVector;
 fn faults(bench: &Bench) -> Vec<FaultReport> {
     let report =
         |message: &GatewayMessage| if let GatewayMessage::Fault(report) = message { Some(*report) } else { None };
-    bench.heard.iter().filter_map(|(_, message)| report(message)).collect()
+    bench.messages.iter().filter_map(|(_, message)| report(message)).collect()
 }
 
 fn transparent(format: WireFormat) -> Bench {
@@ -28,7 +28,7 @@ fn transparent(format: WireFormat) -> Bench {
 }
 
 #[test]
-fn every_alarm_stops_the_arm_and_is_told_once_with_axis_and_word() {
+fn every_alarm_stops_the_arm_and_is_reported_once_with_axis_and_status_word() {
     use GatewayState::{EmergencyStop, Fault};
     let of_axis = ServoAlarm::LISTED.iter().map(|alarm| {
         let stops = matches!(alarm, ServoAlarm::EmergencyStop | ServoAlarm::DeadManOff | ServoAlarm::LimitSwitch);
@@ -71,7 +71,7 @@ fn every_alarm_stops_the_arm_and_is_told_once_with_axis_and_word() {
 }
 
 #[test]
-fn a_fault_is_written_down_with_axis_and_what_its_word_says() {
+fn a_fault_is_logged_with_axis_and_meaning_of_its_status_word() {
     let report = |cause, axis, word| FaultReport { cause, state_before: GatewayState::Moving, axis, word }.to_string();
     let e1 = Some(Axis::ALL[3]);
     for (found, text) in [
@@ -102,10 +102,10 @@ fn a_fault_is_written_down_with_axis_and_what_its_word_says() {
 #[test]
 fn switches_count_as_the_configuration_says() {
     for (bits, expected) in [("unknown", StopCause::None), ("controller 0x0008 set", StopCause::EmergencyStop)] {
-        let told = config(WireFormat::BigEndian6x10);
-        let signals = told.signals.with(Signal::EmergencyStop, bits.parse().unwrap());
-        let told = GatewayConfig { signals, ..told };
-        let mut bench = Bench::greeted(told, Dialect::GatewayV1);
+        let base_config = config(WireFormat::BigEndian6x10);
+        let signals = base_config.signals.with(Signal::EmergencyStop, bits.parse().unwrap());
+        let base_config = GatewayConfig { signals, ..base_config };
+        let mut bench = Bench::greeted(base_config, Dialect::GatewayV1);
         bench.start();
         bench.controller.comm = CommWord(0x0009);
         bench.run(ms(5));
@@ -174,22 +174,22 @@ fn brakes_do_not_open_on_an_arm_that_was_never_measured() {
         bench.run(ms(6));
         bench.ask(open);
         assert_eq!(bench.state(), GatewayState::Holding);
-        let told_open = |sent: &bench::Sent| matches!(sent.message, ControlMessage::Cyclic(command) if matches!(command.axes[3], AxisCommand::Speed(_)));
+        let commanded_open = |sent: &bench::Sent| matches!(sent.message, ControlMessage::Cyclic(command) if matches!(command.axes[3], AxisCommand::Speed(_)));
         bench.tell(control(ArmOperation::Stop));
         bench.run(ms(500));
         bench.sent.clear();
         bench.controller.servo[3] = ServoWord(0x8000);
         bench.ask(raw(b'S', &[]));
         assert_eq!(rejected(bench.ask(open)), (RejectReason::NoAnswer, 0));
-        assert!(!bench.sent.iter().any(told_open), "{:?}", bench.sent);
+        assert!(!bench.sent.iter().any(commanded_open), "{:?}", bench.sent);
     }
 }
 
 #[test]
 fn unknown_status_words_are_passed_on_and_no_brake_opens() {
     for dialect in [Dialect::GatewayV1, Dialect::Transparent] {
-        let told = GatewayConfig { signals: StatusSignals::UNKNOWN, ..config(WireFormat::LittleEndian5x8) };
-        let mut bench = Bench::greeted(told, dialect);
+        let base_config = GatewayConfig { signals: StatusSignals::UNKNOWN, ..config(WireFormat::LittleEndian5x8) };
+        let mut bench = Bench::greeted(base_config, dialect);
         bench.start();
         bench.controller.servo[2] = ServoWord(0x0110);
         bench.controller.comm = CommWord(0xFFFF);
@@ -316,7 +316,7 @@ fn a_stop_cuts_short_what_is_under_way() {
     let stop = bench.tell(control(ArmOperation::Stop));
     bench.run(ms(60));
     assert_eq!((bench.state(), bench.letters().as_str()), (GatewayState::Idle, "SE"));
-    let answers = bench.heard.iter().rev().take(2).map(|(frame, message)| (frame.sequence, *message));
+    let answers = bench.messages.iter().rev().take(2).map(|(frame, message)| (frame.sequence, *message));
     let answers = answers.collect::<Vec<_>>();
     assert_eq!((answers[1].0, answers[0].0), (start, stop));
     assert_eq!(rejected(answers[1].1), (RejectReason::WrongState, GatewayState::Stopping.code().into()));
@@ -329,7 +329,7 @@ fn a_stop_cuts_short_what_is_under_way() {
     assert!(matches!(bench.ask(control(ArmOperation::Stop)), GatewayMessage::ControlReply(_)));
     bench.run(ms(60));
     assert_eq!((bench.state(), bench.letters().as_str()), (GatewayState::Fault, "SE"));
-    let answer = bench.heard.iter().find(|(frame, _)| frame.sequence == reset).unwrap();
+    let answer = bench.messages.iter().find(|(frame, _)| frame.sequence == reset).unwrap();
     assert_eq!(rejected(answer.1).0, RejectReason::WrongState);
 }
 
@@ -364,7 +364,7 @@ fn one_operation_at_a_time() {
     }
     bench.controller.delay = ms(1);
     bench.run(ms(30));
-    let answer = bench.heard.iter().find(|(frame, _)| frame.sequence == first).unwrap().1;
+    let answer = bench.messages.iter().find(|(frame, _)| frame.sequence == first).unwrap().1;
     assert!(matches!(answer, GatewayMessage::ControlReply(reply) if reply.state == GatewayState::Started));
 }
 
@@ -381,7 +381,7 @@ fn a_command_before_the_first_measurement_is_not_answered_with_an_old_one() {
     assert_eq!(rejected(bench.ask(command)).0, RejectReason::WrongState);
     bench.run(ms(10));
     assert_eq!(bench.cause(), StopCause::ControllerSilent);
-    let answer = bench.heard.iter().find(|(frame, _)| frame.sequence == start).unwrap().1;
+    let answer = bench.messages.iter().find(|(frame, _)| frame.sequence == start).unwrap().1;
     assert_eq!(rejected(answer), (RejectReason::NoAnswer, 0));
     assert_eq!(rejected(bench.ask(command)), (RejectReason::NoAnswer, 0));
 }
@@ -408,7 +408,7 @@ fn a_state_carries_what_was_measured_and_when() {
     bench.gateway.handle_host_bytes(bench.now, &frame.encode());
     bench.now = bench.now + ms(7);
     bench.tick();
-    let answer = bench.heard.iter().find(|(answer, _)| answer.sequence == frame.sequence).unwrap();
+    let answer = bench.messages.iter().find(|(answer, _)| answer.sequence == frame.sequence).unwrap();
     let GatewayMessage::State(later) = answer.1 else { panic!() };
     assert!((7000..=8500).contains(&later.sample_age_us), "{}", later.sample_age_us);
 }
@@ -420,11 +420,11 @@ fn speeds_go_on_a_straight_line_within_one_cycle_of_the_host() {
     let command = bench.command(DriveMode::Follow, velocity());
     bench.sent.clear();
     bench.ask(command);
-    let said = bench.now;
+    let stopped_at = bench.now;
     bench.run(ms(18));
     for sent in &bench.sent {
         let ControlMessage::Cyclic(command) = sent.message else { panic!() };
-        let part = (sent.at.saturating_since(said).as_secs_f64() / 0.010).min(1.0);
+        let part = (sent.at.saturating_since(stopped_at).as_secs_f64() / 0.010).min(1.0);
         assert!((command.velocity_rad_per_s() - velocity() * part).amax() <= 1.01e-4, "{sent:?}");
     }
     // In the dialect that forwards data, the speeds are forwarded.
@@ -506,11 +506,11 @@ fn raw_commands_within_one_cycle_share_its_reply() {
     let mut bench = transparent(WireFormat::LittleEndian5x8);
     bench.start();
     let command = bench.command(DriveMode::Off, JointVector::zeros());
-    bench.heard.clear();
-    let told = (0..6).map(|_| bench.tell(command)).collect::<Vec<_>>();
+    bench.messages.clear();
+    let base_config = (0..6).map(|_| bench.tell(command)).collect::<Vec<_>>();
     bench.run(ms(10));
-    let answers = told.iter().map(|sequence| {
-        let mut of_it = bench.heard.iter().filter(|(frame, _)| frame.sequence == *sequence);
+    let answers = base_config.iter().map(|sequence| {
+        let mut of_it = bench.messages.iter().filter(|(frame, _)| frame.sequence == *sequence);
         let answer = of_it.next().unwrap().1;
         assert!(of_it.next().is_none());
         matches!(answer, GatewayMessage::RawReply(_))

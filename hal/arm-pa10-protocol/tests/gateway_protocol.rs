@@ -177,9 +177,9 @@ fn a_hello_reply_names_exactly_the_dialects_and_wired_signals_of_the_gateway() {
         for bits in 0..16 {
             let wired = WiredSignals::from_bits(bits);
             assert_eq!(Signal::ALL.map(|signal| wired.has(signal)), [1, 2, 4, 8].map(|bit| bits & bit != 0), "{bits}");
-            let said =
+            let sent_message =
                 GatewayMessage::HelloReply(HelloReply { has_transparent, has_gateway_v1, wired, ..hello_reply() });
-            assert_eq!(GatewayMessage::decode(&said.frame(ARM, 7, 1)), Ok(said));
+            assert_eq!(GatewayMessage::decode(&sent_message.frame(ARM, 7, 1)), Ok(sent_message));
         }
     }
     assert_eq!(WiredSignals::from_bits(0xF5), WiredSignals::from_bits(0x05), "four signals are known");
@@ -204,7 +204,7 @@ fn the_example_frames_of_the_specification_are_ours_byte_for_byte() {
         assert_eq!(GatewayMessage::decode(&frame), Ok(message), "{name}");
         assert_eq!(HostMessage::decode(&frame), Err(MessageError::Type { got: frame.frame_type }), "{name}");
     }
-    for name in ["knock", "challenge", "proof", "host-record", "gateway-record"] {
+    for name in ["client-nonce", "challenge", "proof", "host-record", "gateway-record"] {
         assert!(examples.remove(name).is_some(), "no example {name}");
     }
     assert!(examples.is_empty(), "examples without a test: {:?}", examples.keys());
@@ -218,7 +218,7 @@ fn the_handshake_and_the_records_of_the_specification_are_ours() {
     let nonce = |from: u8| std::array::from_fn(|index| from + index as u8);
     let agreement = Agreement::new(SharedKey::new(&secret).unwrap(), ARM, nonce(0x20), nonce(0x40));
     let messages = [
-        ("knock", Handshake::Knock(nonce(0x20))),
+        ("client-nonce", Handshake::ClientNonce(nonce(0x20))),
         ("challenge", Handshake::Challenge(nonce(0x40), agreement.proof(Side::Gateway))),
         ("proof", Handshake::Proof(agreement.proof(Side::Host))),
     ];

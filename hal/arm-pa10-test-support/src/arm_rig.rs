@@ -132,7 +132,7 @@ impl Rig {
         self.monitor().snapshot().latched.unwrap().trip
     }
 
-    pub fn heard(&self) -> Vec<HostMessage> {
-        self.far.gateway.lock().unwrap().heard.clone()
+    pub fn messages(&self) -> Vec<HostMessage> {
+        self.far.gateway.lock().unwrap().messages.clone()
     }
 }

@@ -32,7 +32,7 @@ pub struct FakeGateway {
     pub servo: [ServoWord; 7],
     /// The last accepted speeds, rad/s.
     pub speeds: JointVector,
-    pub heard: Vec<HostMessage>,
+    pub messages: Vec<HostMessage>,
     pub rejected: Vec<RejectReason>,
     /// Its own clock, µs.
     pub clock_us: u64,
@@ -56,7 +56,7 @@ impl FakeGateway {
             refuse_end: 0,
             servo: [ServoWord(0); 7],
             speeds: JointVector::zeros(),
-            heard: Vec::new(),
+            messages: Vec::new(),
             rejected: Vec::new(),
             clock_us: 0,
             dialect: None,
@@ -80,7 +80,7 @@ impl FakeGateway {
         for received in frames {
             let Received::Frame(frame) = received else { continue };
             let message = HostMessage::decode(&frame).unwrap();
-            self.heard.push(message);
+            self.messages.push(message);
             let answer = self.handle(&message).unwrap_or_else(|reason| {
                 self.rejected.push(reason);
                 let found = self.found.filter(|_| reason == RejectReason::CausePresent);

@@ -53,7 +53,7 @@ struct World {
     /// Parses the host's bytes, as the gateway does.
     host_ear: FrameParser,
     own_ear: FrameParser,
-    heard_host: MonotonicTime,
+    received_from_host: MonotonicTime,
     /// The highest speed requested so far, on each axis.
     speed_max: [u16; Axis::COUNT],
     /// Time since when each brake is commanded closed.
@@ -109,7 +109,7 @@ impl World {
             sequence: u16::from(choice) << 8,
             host_ear: FrameParser::new(ARM),
             own_ear: FrameParser::new(ARM),
-            heard_host: now,
+            received_from_host: now,
             speed_max: [0; Axis::COUNT],
             closed_since: [None; Axis::COUNT],
         }
@@ -231,7 +231,7 @@ impl World {
             let Received::Frame(frame) = received else { return };
             note_speeds(speed_max, format, &frame);
         });
-        self.heard_host = self.now;
+        self.received_from_host = self.now;
         self.gateway.handle_host_bytes(self.now, bytes);
         self.listen();
     }
@@ -294,17 +294,17 @@ impl World {
         let holds = |since: &Option<MonotonicTime>| since.is_some_and(|at| self.now.saturating_since(at) >= BRAKE_TIME);
         match packet.message {
             ControlMessage::Cyclic(command) => {
-                let silent_for = self.now.saturating_since(self.heard_host);
-                for (axis, told) in command.axes.iter().enumerate() {
-                    let speed = told.speed().0.unsigned_abs();
+                let silent_for = self.now.saturating_since(self.received_from_host);
+                for (axis, commanded) in command.axes.iter().enumerate() {
+                    let speed = commanded.speed().0.unsigned_abs();
                     assert!(speed <= self.speed_max[axis], "axis {axis}: {speed}, {} asked for", self.speed_max[axis]);
                     assert!(speed <= self.config.limits.axes[axis].speed, "axis {axis}: {speed} is beyond its limit");
                     assert!(
                         speed == 0 || silent_for <= self.config.watchdog.stop_after(),
                         "{speed} after {silent_for:?}"
                     );
-                    assert!(*told != AxisCommand::Off || holds(&self.closed_since[axis]), "axis {axis} falls");
-                    let is_open = matches!(told, AxisCommand::Speed(_));
+                    assert!(*commanded != AxisCommand::Off || holds(&self.closed_since[axis]), "axis {axis} falls");
+                    let is_open = matches!(commanded, AxisCommand::Speed(_));
                     let since = self.closed_since[axis].or((!is_open).then_some(self.now));
                     self.closed_since[axis] = since.filter(|_| !is_open);
                 }
@@ -340,7 +340,7 @@ impl World {
     fn fall_silent(&mut self) {
         self.run_to_rest();
         if !self.answers && !self.gateway.is_at_rest() {
-            assert!(self.gateway.status().is_unheard, "{:?}", self.gateway.status());
+            assert!(self.gateway.status().stop_unacknowledged, "{:?}", self.gateway.status());
             assert!(self.closed_since.iter().all(Option::is_some));
             self.answers = true;
             self.run_to_rest();

@@ -72,7 +72,7 @@ pub struct Bench {
     pub now: MonotonicTime,
     pub sent: Vec<Sent>,
     /// Messages from the gateway, in order.
-    pub heard: Vec<(Frame, GatewayMessage)>,
+    pub messages: Vec<(Frame, GatewayMessage)>,
     pub sequence: u16,
     /// The host's clock minus the gateway's, µs.
     pub host_clock_us: u64,
@@ -146,7 +146,7 @@ impl Bench {
             controller: Controller::new(config.format),
             now,
             sent: Vec::new(),
-            heard: Vec::new(),
+            messages: Vec::new(),
             sequence: 40_000,
             host_clock_us: 777_000_000,
             parser: FrameParser::new(ARM),
@@ -301,10 +301,10 @@ impl Bench {
     }
 
     pub fn ask_frame(&mut self, frame: &Frame) -> GatewayMessage {
-        let from = self.heard.len();
+        let from = self.messages.len();
         self.bytes(&frame.encode());
         for _ in 0..120 {
-            let answer = self.heard[from..].iter().find(|(answer, message)| {
+            let answer = self.messages[from..].iter().find(|(answer, message)| {
                 answer.sequence == frame.sequence && !matches!(message, GatewayMessage::Fault(_))
             });
             if let Some((_, message)) = answer {
@@ -312,7 +312,7 @@ impl Bench {
             }
             self.tick();
         }
-        panic!("no answer to {frame:?}: {:?}", &self.heard[from..]);
+        panic!("no answer to {frame:?}: {:?}", &self.messages[from..]);
     }
 
     /// The letters sent on the bus.
@@ -322,10 +322,10 @@ impl Bench {
 
     fn listen(&mut self) {
         while let Some(bytes) = self.gateway.poll_host_output(self.now) {
-            let heard = &mut self.heard;
+            let messages = &mut self.messages;
             self.parser.feed(&bytes, |received| {
                 let Received::Frame(frame) = received else { panic!("{received:?}") };
-                heard.push((frame, GatewayMessage::decode(&frame).unwrap()));
+                messages.push((frame, GatewayMessage::decode(&frame).unwrap()));
             });
         }
     }

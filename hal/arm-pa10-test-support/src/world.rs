@@ -81,7 +81,7 @@ pub fn hurry() {
 
 /// Observed state of an emulated controller.
 #[derive(Clone, Debug)]
-pub struct Seen {
+pub struct Observed {
     pub counters: MockCounters,
     pub mode: ControlMode,
     pub is_braked: bool,
@@ -92,7 +92,7 @@ pub struct Seen {
 /// An emulated controller on its own thread.
 pub struct Emulation {
     end: Arc<AtomicBool>,
-    seen: Arc<Mutex<Option<Seen>>>,
+    observed: Arc<Mutex<Option<Observed>>>,
     /// Faults to inject, in the syntax of docs/mock-arm.md.
     lines: Arc<Mutex<Vec<String>>>,
     thread: Option<JoinHandle<MockController>>,
@@ -114,9 +114,9 @@ impl Emulation {
     /// The same controller on another bus.
     pub fn carry_on(mut port: Box<dyn BusPort>, mut mock: MockController) -> Self {
         let end = Arc::new(AtomicBool::new(false));
-        let seen = Arc::new(Mutex::new(None));
+        let observed = Arc::new(Mutex::new(None));
         let lines = Arc::new(Mutex::new(Vec::<String>::new()));
-        let (its_end, its_seen, its_lines) = (Arc::clone(&end), Arc::clone(&seen), Arc::clone(&lines));
+        let (its_end, its_observed, its_lines) = (Arc::clone(&end), Arc::clone(&observed), Arc::clone(&lines));
         let thread = std::thread::spawn(move || {
             hurry();
             let plant = mock.plant();
@@ -135,7 +135,7 @@ impl Emulation {
                     let _ = port.try_send(&frame);
                 }
                 let position_rad = plant.lock().unwrap().position_at(now).unwrap_or_else(home);
-                *its_seen.lock().unwrap() = Some(Seen {
+                *its_observed.lock().unwrap() = Some(Observed {
                     counters: mock.counters().clone(),
                     mode: mock.mode(),
                     is_braked: mock.is_braked(),
@@ -152,28 +152,28 @@ impl Emulation {
             }
             mock
         });
-        Self { end, seen, lines, thread: Some(thread) }
+        Self { end, observed, lines, thread: Some(thread) }
     }
 
     pub fn inject(&self, line: &str) {
         self.lines.lock().unwrap().push(line.to_owned());
     }
 
-    pub fn seen(&self) -> Seen {
+    pub fn observed(&self) -> Observed {
         let since = Instant::now();
         loop {
-            if let Some(seen) = self.seen.lock().unwrap().clone() {
-                return seen;
+            if let Some(observed) = self.observed.lock().unwrap().clone() {
+                return observed;
             }
             assert!(since.elapsed() < LONG, "the emulated controller does not run");
             std::thread::sleep(ms(1));
         }
     }
 
-    pub fn wait_for(&self, what: &str, is: impl Fn(&Seen) -> bool) {
+    pub fn wait_for(&self, what: &str, is: impl Fn(&Observed) -> bool) {
         let since = Instant::now();
-        while !is(&self.seen()) {
-            assert!(since.elapsed() < LONG, "never {what}: {:?}", self.seen());
+        while !is(&self.observed()) {
+            assert!(since.elapsed() < LONG, "never {what}: {:?}", self.observed());
             std::thread::sleep(ms(2));
         }
     }

@@ -95,7 +95,7 @@ fn latency(with: &str, side: HostSide, host: &KeyedTcp, strings: u64) {
     // Before this thread has a priority, which its threads would inherit.
     let attack = Arc::new(Attack::default());
     let its_attack = Arc::clone(&attack);
-    let attacker = std::thread::spawn(move || attack_when_told(address, &its_attack));
+    let attacker = std::thread::spawn(move || attack_on_command(address, &its_attack));
     let realtime = Realtime { priority: Some(20), locks_memory: false, cpu: None };
     for missing in enter(&Realtime { priority: Some(10), ..realtime }) {
         println!("{missing}");
@@ -127,8 +127,8 @@ fn latency(with: &str, side: HostSide, host: &KeyedTcp, strings: u64) {
         attack.strings.load(Ordering::SeqCst),
         p99(&attacked) / p99(&calm)
     );
-    let seen = emulation.seen();
-    assert!(seen.is_braked && seen.position_rad == home(), "the arm moved, or its brakes opened");
+    let observed = emulation.observed();
+    assert!(observed.is_braked && observed.position_rad == home(), "the arm moved, or its brakes opened");
     drop(server);
 }
 
@@ -151,7 +151,7 @@ fn answers(link: &mut dyn ByteLink, sequence: &mut u16, into: &mut Vec<f64>) {
 }
 
 /// Opens connections as fast as one thread can: HTTP, half-open sockets, a frame without its end, and mostly random strings.
-fn attack_when_told(address: SocketAddr, attack: &Attack) {
+fn attack_on_command(address: SocketAddr, attack: &Attack) {
     let (mut open, mut count, mut state) = (Vec::new(), 0u64, 1u64);
     let mut random = [0u8; 200];
     while !attack.is_over.load(Ordering::SeqCst) {

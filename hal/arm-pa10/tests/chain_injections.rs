@@ -168,9 +168,9 @@ fn inject(chain: &mut Chain, kind: &Kind, dice: &mut Dice) -> [Duration; 2] {
         at = chain.now;
     }
     let velocity = chain.plant.lock().unwrap().state().velocity_rad_per_s.abs();
-    let told = chain.controller.commanded_rad_per_s().abs();
-    let wanted = chain.wanted.map_or(told, |wanted| wanted.abs());
-    let fastest = velocity.sup(&wanted).sup(&told);
+    let commanded = chain.controller.commanded_rad_per_s().abs();
+    let wanted = chain.wanted.map_or(commanded, |wanted| wanted.abs());
+    let fastest = velocity.sup(&wanted).sup(&commanded);
     let mut end = String::new();
     match &kind.fault {
         Fault::Arm(begin, ends) => {
@@ -257,7 +257,7 @@ fn a_gateway_moves_the_emulated_arm() {
         assert!(chain.controller.is_braked() && chain.is_at_rest());
         let counters = chain.controller.counters();
         assert_eq!(
-            [counters.forbidden, counters.malformed, counters.odd, counters.let_go, counters.watchdog_trips],
+            [counters.forbidden, counters.malformed, counters.odd, counters.released, counters.watchdog_trips],
             [0; 5]
         );
     }

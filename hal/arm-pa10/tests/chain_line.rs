@@ -101,10 +101,10 @@ fn judge(chain: &mut Chain, place: &str) -> bool {
         let velocity = if turn % 2 == 0 { -wanted() } else { wanted() };
         chain.wanted = chain.wanted.map(|_| velocity);
         chain.run(Duration::from_millis(300));
-        let told = chain.controller.commanded_rad_per_s();
+        let commanded = chain.controller.commanded_rad_per_s();
         match chain.driver.state() {
             // The measured velocity is compared with the command of 0.3 s ago.
-            DriverState::Moving => assert!((told - velocity).amax() < 0.02, "{place}: {told:?}"),
+            DriverState::Moving => assert!((commanded - velocity).amax() < 0.02, "{place}: {commanded:?}"),
             state => {
                 assert!(state.is_latched() && chain.driver.latched().is_some(), "{place}: {state:?}");
                 break;

@@ -266,8 +266,8 @@ fn every_alarm_stops_the_arm_by_its_name() {
             other => panic!("{alarm}: {other}"),
         }
         assert_eq!(bench.driver.latched().unwrap().state_before, DriverState::Moving);
-        let told = (trip(&bench).axis().map(|axis| axis.index()), trip(&bench).code());
-        assert_eq!(told, (Some(4), Some(alarm.code())));
+        let shown = (trip(&bench).axis().map(|axis| axis.index()), trip(&bench).code());
+        assert_eq!(shown, (Some(4), Some(alarm.code())));
     }
     for &alarm in CommAlarm::LISTED {
         let mut bench = Bench::in_state(DriverState::Holding);
@@ -546,7 +546,7 @@ fn a_gateway_that_refuses_is_a_fault_with_its_reason() {
 
 /// R8: after any fault, the brakes are commanded to close within 100 ms.
 #[test]
-fn after_a_fault_the_brakes_are_told_to_close_within_100_ms() {
+fn after_a_fault_the_brakes_are_commanded_to_close_within_100_ms() {
     for word in [0x00E0, 0x0110] {
         let mut bench = Bench::in_state(DriverState::Moving);
         bench.run_moving(ms(50));
@@ -570,9 +570,9 @@ fn a_gateway_that_stopped_the_arm_is_a_fault_with_its_cause() {
         bench.now = bench.now + CYCLE;
         assert!(bench.driver.poll_transmit(bench.now).is_some());
         let scale = TorqueScale::of_format(WireFormat::BigEndian6x10);
-        let mut told = State::from_reply(&arm_reply(), &scale, 0).unwrap();
-        (told.gateway, told.cause) = (state, cause);
-        bench.driver.handle_reply(bench.now, &Reply::Sample(Sample::from_state(&told)));
+        let mut shown = State::from_reply(&arm_reply(), &scale, 0).unwrap();
+        (shown.gateway, shown.cause) = (state, cause);
+        bench.driver.handle_reply(bench.now, &Reply::Sample(Sample::from_state(&shown)));
         assert_eq!(trip(&bench), expected);
     }
 }

@@ -237,7 +237,7 @@ fn an_arm_whose_control_mode_is_off_is_sent_nothing_on_a_fault() {
 
 /// A gateway may have closed its brakes later than the driver assumes: it refuses E, and the driver sends E again.
 #[test]
-fn an_end_that_is_refused_is_said_again() {
+fn a_refused_end_is_repeated() {
     for refusals in 1..=5 {
         let mut bench = Bench::in_state(DriverState::Moving);
         bench.request(Request::Stop);
@@ -245,9 +245,9 @@ fn an_end_that_is_refused_is_said_again() {
         let ends = |bench: &Bench| bench.sent.iter().filter(|(_, message)| kind(message) == Kind::End).count();
         let before = ends(&bench);
         while bench.driver.activity() != Activity::None {
-            let said = ends(&bench);
+            let ends_sent = ends(&bench);
             bench.run(Duration::from_micros(500));
-            if ends(&bench) > said && refused < refusals {
+            if ends(&bench) > ends_sent && refused < refusals {
                 bench.driver.handle_reply(bench.now, &Reply::Rejected(RejectReason::WrongState));
                 refused += 1;
             }

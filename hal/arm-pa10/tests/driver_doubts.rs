@@ -66,9 +66,9 @@ fn a_refused_reset_is_reported_unless_the_arm_says_more() {
     let silent = StopCause::HostSilent;
     for (by_alarm, answer, expected) in [
         (true, Reply::Rejected(RejectReason::CausePresent), by_arm),
-        (true, Reply::StillThere(silent), by_arm),
+        (true, Reply::CauseNotCleared(silent), by_arm),
         (true, Reply::Rejected(RejectReason::WrongState), FaultCause::Rejected(RejectReason::WrongState)),
-        (false, Reply::StillThere(silent), FaultCause::StillThere(silent)),
+        (false, Reply::CauseNotCleared(silent), FaultCause::CauseNotCleared(silent)),
         (false, Reply::Rejected(RejectReason::CausePresent), FaultCause::Rejected(RejectReason::CausePresent)),
     ] {
         let mut bench = Bench::in_state(if by_alarm { DriverState::Fault } else { DriverState::Holding });
@@ -147,28 +147,29 @@ fn a_gateway_that_stopped_by_itself_is_a_fault_whatever_the_cause() {
         torque: TorqueCounts(7),
     };
     let reply = ArmReply { axes: [axis; 7], comm: CommStatus::Comm(CommWord(0x0001)) };
-    let told = |bench: &mut Bench, gateway| {
+    let report_state = |bench: &mut Bench, gateway| {
         bench.now = bench.now + CYCLE;
         assert!(bench.driver.poll_transmit(bench.now).is_some());
-        let mut told = State::from_reply(&reply, &TorqueScale::of_format(WireFormat::BigEndian6x10), 0).unwrap();
-        (told.gateway, told.cause) = (gateway, StopCause::None);
-        bench.driver.handle_reply(bench.now, &Reply::Sample(Sample::from_state(&told)));
+        let mut report_state =
+            State::from_reply(&reply, &TorqueScale::of_format(WireFormat::BigEndian6x10), 0).unwrap();
+        (report_state.gateway, report_state.cause) = (gateway, StopCause::None);
+        bench.driver.handle_reply(bench.now, &Reply::Sample(Sample::from_state(&report_state)));
     };
     for state in [DriverState::Enabled, DriverState::Holding, DriverState::Moving] {
         for gateway in [GatewayState::Started, GatewayState::Holding, GatewayState::Moving] {
             let mut bench = Bench::in_state(state);
-            told(&mut bench, gateway);
+            report_state(&mut bench, gateway);
             assert_eq!(bench.driver.state(), state, "{gateway}");
         }
         for gateway in [GatewayState::Idle, GatewayState::Stopping] {
             let mut bench = Bench::in_state(state);
-            told(&mut bench, gateway);
+            report_state(&mut bench, gateway);
             assert_eq!(trip(&bench), Trip::Fault(FaultCause::GatewayStopped { gateway }), "{state}");
         }
         // A stop that the host itself requested is not a fault.
         let mut bench = Bench::in_state(state);
         bench.request(Request::Stop);
-        told(&mut bench, GatewayState::Stopping);
+        report_state(&mut bench, GatewayState::Stopping);
         assert_eq!(bench.driver.latched(), None);
     }
 }

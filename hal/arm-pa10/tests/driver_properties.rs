@@ -136,10 +136,10 @@ proptest! {
         let state = bench.driver.state();
         prop_assert!(!matches!(state, DriverState::Enabled | DriverState::Holding | DriverState::Moving), "{state:?}");
         let sent = bench.sent.len();
-        let unheard = bench.driver.is_unheard();
-        prop_assert!(!unheard || (on_bus && state.is_latched()), "{state:?}");
+        let stop_unacknowledged = bench.driver.stop_unacknowledged();
+        prop_assert!(!stop_unacknowledged || (on_bus && state.is_latched()), "{state:?}");
         bench.run(Duration::from_secs(1));
-        if unheard {
+        if stop_unacknowledged {
             let again = &bench.sent[sent..];
             prop_assert!(again.len() >= 99, "what nobody has heard is not said again");
             prop_assert!(again.iter().all(|(_, message)| kind(message) == Kind::Braked), "{again:?}");
@@ -150,7 +150,7 @@ proptest! {
         bench.peer.answers = true;
         bench.peer.drop_next = 0;
         bench.run(Duration::from_secs(1));
-        prop_assert!(!bench.driver.is_unheard(), "{:?}", bench.driver);
+        prop_assert!(!bench.driver.stop_unacknowledged(), "{:?}", bench.driver);
         let kinds: Vec<Kind> = bench.sent.iter().map(|(_, message)| kind(message)).collect();
         check_order(&kinds)?;
     }

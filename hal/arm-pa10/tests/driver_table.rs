@@ -14,7 +14,7 @@ fn expected(state: DriverState, event: Event) -> Outcome {
     match (state, event) {
         // The start sequence, one step at a time: connected, enabled, brakes open, moving.
         (S::Disconnected, E::Connect) => Begin(Activity::Connecting),
-        (S::Disconnected, E::Seen) => To(S::Connected),
+        (S::Disconnected, E::Inspected) => To(S::Connected),
         (S::Connected, E::Enable) => Begin(Activity::Enabling),
         (S::Connected, E::Warmed) => To(S::Enabled),
         (S::Enabled, E::ReleaseBrakes) => Begin(Activity::Releasing),

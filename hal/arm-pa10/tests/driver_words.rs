@@ -35,5 +35,5 @@ fn a_stop_that_nobody_answered_names_the_number_of_lost_replies() {
     bench.request(Request::Stop);
     bench.settle();
     assert_eq!(bench.driver.latched().unwrap().trip, Trip::Fault(FaultCause::LinkLost { misses: 2 }));
-    assert!(bench.driver.is_unheard());
+    assert!(bench.driver.stop_unacknowledged());
 }

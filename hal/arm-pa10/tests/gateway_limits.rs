@@ -53,7 +53,7 @@ fn holding(config: GatewayConfig, dialect: Dialect) -> Bench {
     assert!(matches!(bench.ask(hello(dialect, config.limits)), GatewayMessage::HelloReply(_)));
     bench.lead_to(GatewayState::Holding);
     bench.sent.clear();
-    bench.heard.clear();
+    bench.messages.clear();
     bench
 }
 
@@ -94,8 +94,8 @@ fn assert_tripped(bench: &Bench, axis: usize, quantity: MotionQuantity) {
     let found = bench.gateway.status().found.unwrap();
     assert_eq!((bench.state(), bench.cause()), (GatewayState::Fault, StopCause::LimitExceeded));
     assert_eq!(found.limit(), Some((Axis::ALL[axis], quantity)), "{found}");
-    let told = |message: &GatewayMessage| matches!(message, GatewayMessage::Fault(report) if *report == found);
-    assert_eq!(bench.heard.iter().filter(|(_, message)| told(message)).count(), 1, "FAULT once");
+    let is_report = |message: &GatewayMessage| matches!(message, GatewayMessage::Fault(report) if *report == found);
+    assert_eq!(bench.messages.iter().filter(|(_, message)| is_report(message)).count(), 1, "FAULT once");
 }
 
 fn assert_moving(bench: &Bench) {
@@ -116,7 +116,7 @@ fn speeds(sent: &Sent) -> [i16; 7] {
 
 /// Finding 1 of the review: a host below the limiter sent 6.28 rad/s, and the gateway passed it on, to S2 too.
 #[test]
-fn a_speed_that_no_limiter_has_seen_stops_the_arm() {
+fn a_speed_that_no_limiter_has_passed_stops_the_arm() {
     for_each_host(|dialect, format| {
         let mut bench = holding(limited(format, &motion()), dialect);
         follow(&mut bench, on_s2(31_400));

@@ -41,7 +41,7 @@ fn brakes_have_their_time_to_close_before_e() {
                 assert_eq!(rest[..3], [ControlMessage::End; 3]);
                 assert!(rest.len() > 30 && rest[3..].iter().all(|message| *message == uniform(AxisCommand::Braked)));
             }
-            assert_eq!(bench.gateway.status().is_unheard, !answers);
+            assert_eq!(bench.gateway.status().stop_unacknowledged, !answers);
             assert_eq!((bench.state(), bench.cause()), (GatewayState::Idle, StopCause::None));
         }
     }
@@ -66,15 +66,15 @@ fn an_arm_that_goes_on_moving_is_stopped_by_the_next_gateway() {
         let config = GatewayConfig::new(ARM, format, Firmware::new("test gateway 2").unwrap(), MotionLimits::WIDEST);
         chain.gateway = Gateway::new(config, chain.now).unwrap();
         let (before, _) = chain.controller.true_joints();
-        let (mut let_go, mut ended) = (false, None);
+        let (mut released, mut ended) = (false, None);
         for _ in 0..600 {
             chain.run(ms(1));
             let (_, speed) = chain.controller.true_joints();
             let is_control = chain.controller.mode() == ControlMode::Control;
-            let_go |= !is_control && !chain.controller.is_braked();
+            released |= !is_control && !chain.controller.is_braked();
             ended = ended.or((!is_control).then(|| speed.amax()));
         }
-        assert!(!let_go && chain.controller.is_braked());
+        assert!(!released && chain.controller.is_braked());
         assert_eq!(ended, Some(0.0), "{format}: at rest before the control mode ends");
         let (after, speed) = chain.controller.true_joints();
         let way_deg = (after - before).amax().to_degrees();

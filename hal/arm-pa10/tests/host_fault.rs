@@ -34,7 +34,7 @@ fn trips() -> Vec<Trip> {
         torque,
         FaultCause::Supervisor,
         FaultCause::OtherArm { arm: 9 },
-        FaultCause::LetGo,
+        FaultCause::Released,
         FaultCause::Program,
         FaultCause::LinkLost { misses: 3 },
         FaultCause::WrongArm { got: 9 },
@@ -130,7 +130,7 @@ fn the_program_that_has_found_it_resets_both() {
         assert_eq!((chain.driver.state(), found(&chain).0), (DriverState::Connected, GatewayState::Idle));
         chain.prepare();
         // Again, because an earlier report does not count for a later fault.
-        chain.driver.handle_trip(chain.now, Trip::Fault(FaultCause::LetGo));
+        chain.driver.handle_trip(chain.now, Trip::Fault(FaultCause::Released));
         chain.settle();
         assert_eq!(found(&chain), (GatewayState::Fault, StopCause::HostFault));
     }
@@ -225,7 +225,7 @@ fn what_is_found_while_an_ordered_stop_is_under_way_latches() {
 }
 
 #[test]
-fn a_message_that_is_lost_is_said_again_and_a_line_that_is_dead_latches_by_itself() {
+fn a_lost_message_is_repeated_and_a_dead_line_latches() {
     for (dialect, format) in KINDS {
         for (way, lost, expected) in [
             (Way::ToGateway, 1, StopCause::HostFault),
@@ -261,7 +261,7 @@ fn a_message_that_is_lost_is_said_again_and_a_line_that_is_dead_latches_by_itsel
 
 /// The report is sent once, not in each cycle.
 #[test]
-fn a_gateway_that_has_heard_of_it_is_told_nothing_more() {
+fn a_gateway_that_knows_the_fault_receives_no_second_report() {
     use std::sync::atomic::{AtomicUsize, Ordering};
     let count = std::sync::Arc::new(AtomicUsize::new(0));
     let mut chain = moving(Dialect::GatewayV1, WireFormat::BigEndian6x10);

@@ -133,9 +133,9 @@ fn an_idle_link_shows_that_the_host_is_there() {
     let mut rig = Rig::new(Dialect::GatewayV1, WireFormat::BigEndian6x10);
     rig.request(Request::Connect);
     rig.settle();
-    rig.gateway.heard.clear();
+    rig.gateway.messages.clear();
     rig.run(ms(1100));
-    assert_eq!(rig.gateway.heard, [HostMessage::Heartbeat; 4]);
+    assert_eq!(rig.gateway.messages, [HostMessage::Heartbeat; 4]);
     assert_eq!(rig.driver.counters().mismatched + rig.driver.counters().late, 0);
 }
 
@@ -154,7 +154,7 @@ fn a_gateway_that_stopped_the_arm_before_wants_a_reset() {
         rig.gateway.found = Some(StopCause::ServoAlarm);
         rig.request(Request::Reset);
         rig.settle();
-        assert_eq!(rig.trip(), Trip::Fault(FaultCause::StillThere(StopCause::ServoAlarm)));
+        assert_eq!(rig.trip(), Trip::Fault(FaultCause::CauseNotCleared(StopCause::ServoAlarm)));
         assert!(rig.trip().to_string().contains("an alarm of an axis is still present"));
         rig.gateway.found = Some(StopCause::LocalControl);
         rig.request(Request::Reset);
@@ -163,12 +163,12 @@ fn a_gateway_that_stopped_the_arm_before_wants_a_reset() {
                         gateway, then reset";
         assert_eq!(rig.trip().to_string(), switched);
         rig.gateway.cause_present = false;
-        rig.gateway.heard.clear();
+        rig.gateway.messages.clear();
         rig.request(Request::Reset);
         rig.settle();
         assert_eq!((rig.driver.state(), rig.gateway.state), (DriverState::Connected, GatewayState::Idle));
         let reset = HostMessage::Control(Control::Arm(ArmOperation::Reset));
-        assert_eq!(rig.gateway.heard.iter().filter(|message| **message == reset).count(), 1);
+        assert_eq!(rig.gateway.messages.iter().filter(|message| **message == reset).count(), 1);
     }
 }
 
@@ -204,10 +204,10 @@ fn a_fault_that_the_host_found_latches_the_gateway() {
             rig.settle();
             assert_eq!(rig.trip(), trip);
             assert_eq!((rig.gateway.state, rig.gateway.cause), (GatewayState::Fault, StopCause::HostFault));
-            let heard = std::mem::take(&mut rig.gateway.heard);
+            let messages = std::mem::take(&mut rig.gateway.messages);
             let count = |operation| {
                 let wanted = HostMessage::Control(Control::Arm(operation));
-                heard.iter().filter(|message| **message == wanted).count()
+                messages.iter().filter(|message| **message == wanted).count()
             };
             assert_eq!(count(ArmOperation::Abort), 1, "{trip}");
             let refused = std::mem::take(&mut rig.gateway.rejected);
@@ -394,7 +394,7 @@ fn an_arm_goes_up_and_down_on_the_bus_itself() {
 }
 
 #[test]
-fn a_stale_or_damaged_reply_on_the_bus_is_told_and_counted() {
+fn a_stale_or_damaged_reply_on_the_bus_is_reported_and_counted() {
     let format = WireFormat::LittleEndian5x8;
     let mut driver = Driver::new(DriverConfig::with_cycle(ms(2))).unwrap();
     let mut link = BusLink::new(format, SequenceModulus::Modulo256);

@@ -29,6 +29,6 @@ mod mock_injections;
 mod no_allocation;
 mod old_measurements;
 mod real_time;
-mod unheard_bus;
-mod unheard_gateway;
+mod unacknowledged_stop_by_gateway;
+mod unacknowledged_stop_on_bus;
 mod virtual_time;

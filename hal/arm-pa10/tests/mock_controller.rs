@@ -107,7 +107,7 @@ fn an_axis_without_brake_and_servo_falls() {
     assert_eq!(bus.controller.axis_modes(), [AxisMode::Servo; 7]);
     assert_eq!(bus.position(), home());
     bus.cyclic(3, &[0x00, 0, 0, 0, 0], &[]);
-    assert_eq!(bus.controller.counters().let_go, 7);
+    assert_eq!(bus.controller.counters().released, 7);
     bus.wait(Duration::from_millis(100));
     let fallen = bus.position() - home();
     // The pitch joints fall outwards, the others stay.
@@ -199,7 +199,7 @@ fn a_driver_moves_the_emulated_arm() {
         assert!(bench.controller.is_braked() && bench.is_at_rest());
         let counters = bench.controller.counters();
         assert_eq!(
-            [counters.forbidden, counters.malformed, counters.odd, counters.let_go, counters.watchdog_trips],
+            [counters.forbidden, counters.malformed, counters.odd, counters.released, counters.watchdog_trips],
             [0; 5]
         );
     }

@@ -88,8 +88,8 @@ fn signs_are_those_of_the_joints() {
 
 /// RobWork: with sequence number 0 in every message, a late reply looks like the newest.
 #[test]
-fn a_late_reply_can_only_be_told_by_its_number() {
-    for (numbers, can_be_told) in [([0u8, 0], false), ([6, 7], true)] {
+fn a_late_reply_is_recognised_only_by_its_number() {
+    for (numbers, can_be_reported) in [([0u8, 0], false), ([6, 7], true)] {
         let mut bus = moving(A);
         bus.fault("delay 1 5ms");
         let frame = |sequence: u8| {
@@ -102,7 +102,7 @@ fn a_late_reply_can_only_be_told_by_its_number() {
         bus.controller.handle_frame(bus.now, &frame(numbers[1]));
         bus.wait(Duration::from_micros(400));
         let first = bus.controller.poll_frame(bus.now).unwrap();
-        assert_eq!(first[4] != numbers[1], can_be_told, "the old reply comes before the new one");
+        assert_eq!(first[4] != numbers[1], can_be_reported, "the old reply comes before the new one");
     }
 }
 
@@ -214,6 +214,6 @@ fn a_sound_stop_does_not_let_the_arm_fall() {
             false
         });
         assert!(worst < 0.31 && bench.is_at_rest() && bench.controller.is_braked(), "{format}: {worst}");
-        assert_eq!(bench.controller.counters().let_go, 0);
+        assert_eq!(bench.controller.counters().released, 0);
     }
 }

@@ -122,7 +122,7 @@ fn inject(bench: &mut BusBench, kind: &Kind, dice: &mut Dice) -> Stop {
     let took = last_motion(&bench.plant, at).saturating_since(at);
     assert!(bench.controller.is_braked(), "{place}: brakes are open");
     // If no reply arrives, the brakes are closed and E waits for a reply.
-    assert!(bench.controller.mode() == ControlMode::Adjustment || bench.driver.is_unheard(), "{place}");
+    assert!(bench.controller.mode() == ControlMode::Adjustment || bench.driver.stop_unacknowledged(), "{place}");
     bench.wanted = None;
     if kind.keeps_cause {
         bench.request(Request::Reset);
@@ -136,7 +136,11 @@ fn inject(bench: &mut BusBench, kind: &Kind, dice: &mut Dice) -> Stop {
     bench.inject(&end);
     assert!(bench.driver.state().is_latched(), "{place}: it went by itself");
     bench.run(Duration::from_millis(350));
-    assert_eq!((bench.controller.mode(), bench.driver.is_unheard()), (ControlMode::Adjustment, false), "{place}");
+    assert_eq!(
+        (bench.controller.mode(), bench.driver.stop_unacknowledged()),
+        (ControlMode::Adjustment, false),
+        "{place}"
+    );
     bench.request(Request::Reset);
     bench.settle();
     assert_eq!(bench.driver.state(), DriverState::Connected, "{place}: {:?}", bench.driver.latched());

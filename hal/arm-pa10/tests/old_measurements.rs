@@ -29,21 +29,21 @@ fn moving() -> Chain {
 /// Changes each STATE for the host; the time is that of the gateway, µs.
 fn spoil_states(chain: &mut Chain, mut change: impl FnMut(State, u64) -> State + 'static) {
     chain.spoil = Some(Box::new(move |way, bytes| {
-        let mut heard = None;
+        let mut last_frame = None;
         if way == Way::ToHost {
             FrameParser::new(ARM).feed(&bytes, |received| {
                 if let Received::Frame(frame) = received {
-                    heard = Some(frame);
+                    last_frame = Some(frame);
                 }
             });
         }
-        let state = heard.and_then(|frame| match GatewayMessage::decode(&frame) {
+        let state = last_frame.and_then(|frame| match GatewayMessage::decode(&frame) {
             Ok(GatewayMessage::State(state)) => Some((frame, state)),
             _ => None,
         });
         let Some((Frame { sequence, timestamp_us, .. }, state)) = state else { return vec![(Duration::ZERO, bytes)] };
-        let said = GatewayMessage::State(change(state, timestamp_us)).frame(ARM, sequence, timestamp_us);
-        vec![(Duration::ZERO, said.encode().as_slice().to_vec())]
+        let sent = GatewayMessage::State(change(state, timestamp_us)).frame(ARM, sequence, timestamp_us);
+        vec![(Duration::ZERO, sent.encode().as_slice().to_vec())]
     }));
 }
 

@@ -271,7 +271,7 @@ fn who_lets_go_of_a_moving_arm_has_it_stopped() {
 }
 
 /// Bytes on the lines of two arms in two seconds with random faults.
-fn said() -> Vec<RawBytes> {
+fn bytes_sent() -> Vec<RawBytes> {
     let mut cell = moving();
     for end in &cell.ends {
         end.command_line("chance 2% at-most 2 drop 1").unwrap();
@@ -283,7 +283,7 @@ fn said() -> Vec<RawBytes> {
 
 #[test]
 fn the_same_commands_give_the_same_bytes() {
-    let (one, other) = (said(), said());
+    let (one, other) = (bytes_sent(), bytes_sent());
     assert!(one.len() > 800, "{}", one.len());
     assert!(one == other, "the same run went another way");
 }

@@ -91,7 +91,7 @@ mod tests {
 
     #[test]
     fn a_bar_goes_through_both_images() {
-        let seen = |progress| bar(0.2, true, progress).map(|[first, end]| end > 1e-9 && first < 1.0 - 1e-9);
+        let band = |progress| bar(0.2, true, progress).map(|[first, end]| end > 1e-9 && first < 1.0 - 1e-9);
         for (progress, expected) in [
             (0.0, [false, false]),
             (0.1, [true, false]),
@@ -99,7 +99,7 @@ mod tests {
             (0.9, [false, true]),
             (1.0, [false, false]),
         ] {
-            assert_eq!(seen(progress), expected, "{progress}");
+            assert_eq!(band(progress), expected, "{progress}");
         }
         let [left, right] = bar(0.5, false, 0.7);
         assert!((left[0] - 0.4).abs() < 1e-12 && (right[1] - 0.6).abs() < 1e-12, "{left:?} {right:?}");

@@ -18,7 +18,7 @@ use crate::schedule::ExposureSchedule;
 const NAME: &str = "camera without images";
 
 /// Range of brightness factors in which a tracker still works.
-const BRIGHTNESS_SEEN: std::ops::RangeInclusive<f64> = 0.2..=4.0;
+const BRIGHTNESS_VISIBLE: std::ops::RangeInclusive<f64> = 0.2..=4.0;
 /// Number of frames with low confidence after a step of brightness.
 const FRAMES_AFTER_STEP: u32 = 3;
 /// Maximum vertical misalignment of the right image for stereo matching, pixels.
@@ -125,7 +125,7 @@ impl GeometricCamera {
                     for (side, _) in brightness.iter_mut().zip(cameras.are()).filter(|(_, is)| *is) {
                         *side *= factor;
                     }
-                    (!BRIGHTNESS_SEEN.contains(&factor))
+                    (!BRIGHTNESS_VISIBLE.contains(&factor))
                         .then_some(Hindrance::Blind("the images are too dark or too bright"))
                 }
                 CameraFaultKind::Occluder { width_share, crosses } => {
@@ -264,14 +264,14 @@ mod tests {
         assert_eq!(x(CameraFaultKind::Frozen), with([Some(53.12); 3]));
         assert_eq!(x(CameraFaultKind::Late { pairs: 1 }), with([None, Some(56.12), Some(59.12)]));
         let frozen = passing(CameraFaultKind::Frozen);
-        let told = |frame: &Option<GeometricFrame>| frame.map(|frame| (frame.sequence, frame.is_new));
+        let delivered = |frame: &Option<GeometricFrame>| frame.map(|frame| (frame.sequence, frame.is_new));
         assert_eq!(
-            frozen[2..6].iter().map(told).collect::<Vec<_>>(),
+            frozen[2..6].iter().map(delivered).collect::<Vec<_>>(),
             [(2, false), (3, false), (4, false), (5, true)].map(Some)
         );
         let again = passing(CameraFaultKind::Repeated { share: 1.0, as_new: false });
         assert_eq!(
-            again[2..6].iter().map(told).collect::<Vec<_>>(),
+            again[2..6].iter().map(delivered).collect::<Vec<_>>(),
             [(1, false), (1, false), (1, false), (5, true)].map(Some)
         );
     }

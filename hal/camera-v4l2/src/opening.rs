@@ -130,8 +130,8 @@ fn prepare(
 ) -> Result<StreamConfig, CameraError> {
     let device = format!("{} ({})", config.name, found.entry.path.display());
     let mode = modes::negotiate(node, &device, &mode)?;
-    let told = controls::apply(node, &device, &config.controls)?;
-    let exposure = told.or(config.exposure).ok_or_else(|| {
+    let applied = controls::apply(node, &device, &config.controls)?;
+    let exposure = applied.or(config.exposure).ok_or_else(|| {
         let what = "it does not report its exposure time, which is needed for the image timestamps; set a manual exposure, \
                     or give the exposure time";
         unusable(&device, what)

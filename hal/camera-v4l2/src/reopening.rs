@@ -20,7 +20,7 @@ const AGAIN: Duration = Duration::from_millis(250);
 
 /// A [`V4l2StereoCamera`] that survives the loss of its devices. While they are missing each call is a `Timeout` with the reason.
 /// When they are available again, in the same mode and with the same controls, pairs continue with increasing numbers and times.
-/// Only the same cameras are used again: see [`Self::are_told_apart`].
+/// Only the same cameras are used again: see [`Self::are_distinguished`].
 ///
 /// A call that opens cameras takes as long as the drivers need, which may be more than twice its `timeout`.
 pub struct ReopeningCamera {
@@ -155,7 +155,7 @@ impl ReopeningCamera {
 
     /// Whether left and right cannot be exchanged unnoticed: different serial numbers tell them apart, or one device has both views.
     /// Otherwise a reopened camera is identified by its port, and exchanged cables only show in the images.
-    pub fn are_told_apart(&self) -> bool {
+    pub fn are_distinguished(&self) -> bool {
         is_one_device(&self.first) || have_numbers(&self.first)
     }
 

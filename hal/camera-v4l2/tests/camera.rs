@@ -185,7 +185,7 @@ fn the_drift_of_free_running_cameras_is_measured() {
 }
 
 #[test]
-fn the_loss_of_a_camera_is_told_within_two_periods_and_it_can_be_opened_again() {
+fn the_loss_of_a_camera_is_reported_within_two_periods_and_it_can_be_opened_again() {
     let faults: [fn(&mut Faults); 5] = [
         |faults| faults.is_unplugged = true,
         |faults| faults.ends = true,
@@ -227,7 +227,7 @@ fn both_cameras_unplugged_at_once_and_a_rig_that_is_not_there() {
 }
 
 #[test]
-fn a_silent_camera_is_told_two_periods_after_its_last_image_and_goes_on_when_it_sends_again() {
+fn a_silent_camera_is_reported_two_periods_after_its_last_image_and_continues_when_it_sends_again() {
     for number in [0, 1] {
         let rig = Rig::new();
         let mut camera = rig.opened();
@@ -267,7 +267,7 @@ fn images_that_come_up_to_nine_tenths_of_a_period_late_are_no_silence() {
 }
 
 #[test]
-fn images_that_are_all_damaged_are_told_as_such() {
+fn only_damaged_images_are_reported_as_damage() {
     let rig = Rig::new();
     let mut camera = rig.opened();
     camera.next_pair(SECOND).unwrap();

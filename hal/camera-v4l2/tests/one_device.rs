@@ -206,7 +206,7 @@ fn reopening(rig: &Rig, config: &StereoConfig) -> ReopeningCamera {
 }
 
 #[test]
-fn loss_and_silence_are_told_within_two_periods() {
+fn loss_and_silence_are_reported_within_two_periods() {
     let config = config_of_one(TOP_BOTTOM, PixelFormat::Grey);
     type Fault = (fn(&mut Faults), CameraErrorKind);
     let faults: [Fault; 4] = [
@@ -247,15 +247,15 @@ fn damaged_and_lost_images_are_counted_for_both_views() {
 
 /// Pairs of two seconds, and the last message.
 fn taken(rig: &Rig, camera: &mut ReopeningCamera) -> (u32, String) {
-    let (end, mut came, mut said) = (rig.clock.now() + SECOND * 2, 0, String::new());
+    let (end, mut came, mut error_text) = (rig.clock.now() + SECOND * 2, 0, String::new());
     let mut pair = FramePair::black(SMALL);
     while rig.clock.now() < end {
         match camera.next_pair_into(&mut pair, millis(66)) {
             Ok(()) => came += 1,
-            Err(error) => said = error.to_string(),
+            Err(error) => error_text = error.to_string(),
         }
     }
-    (came, said)
+    (came, error_text)
 }
 
 #[test]
@@ -274,16 +274,16 @@ fn a_lost_device_is_reopened_and_another_one_is_refused() {
         let mut config = config_of_one(SIDE_BY_SIDE, PixelFormat::Grey);
         config.left.name = "/dev/video0".parse().unwrap();
         let mut camera = reopening(&rig, &config);
-        assert!(camera.are_told_apart(), "one device cannot be exchanged with itself");
+        assert!(camera.are_distinguished(), "one device cannot be exchanged with itself");
         camera.next_pair(SECOND).unwrap();
         rig.faults(0, |faults| faults.is_unplugged = true);
         assert_eq!(taken(&rig, &mut camera).0, 0);
         rig.faults(0, |faults| *faults = Faults::default());
         rig.system.with(0, change).unwrap();
-        let (came, said) = taken(&rig, &mut camera);
+        let (came, error_text) = taken(&rig, &mut camera);
         match refusal {
-            None => assert!(came > 50 && camera.reopened() == 1, "{came}: {said}"),
-            Some(text) => assert!(came == 0 && said.contains(text), "{came}: {said}"),
+            None => assert!(came > 50 && camera.reopened() == 1, "{came}: {error_text}"),
+            Some(text) => assert!(came == 0 && error_text.contains(text), "{came}: {error_text}"),
         }
     }
 }

@@ -24,7 +24,7 @@ fn reopening(rig: &Rig, reopen_for: Duration) -> ReopeningCamera {
 /// Takes pairs for this duration: returns their number, the last message, and the newest pair. No pair is older than the previous
 /// ones or than its delivery allows.
 fn take(rig: &Rig, camera: &mut ReopeningCamera, duration: Duration, last: &mut (u64, MonotonicTime)) -> (u32, String) {
-    let (end, mut came, mut said) = (rig.clock.now() + duration, 0, String::new());
+    let (end, mut came, mut error_text) = (rig.clock.now() + duration, 0, String::new());
     let mut pair = FramePair::black(SMALL);
     while rig.clock.now() < end {
         match camera.next_pair_into(&mut pair, millis(66)) {
@@ -40,11 +40,11 @@ fn take(rig: &Rig, camera: &mut ReopeningCamera, duration: Duration, last: &mut 
             }
             Err(error) => {
                 assert_eq!(error.kind(), CameraErrorKind::Timeout, "{error}");
-                said = error.to_string();
+                error_text = error.to_string();
             }
         }
     }
-    (came, said)
+    (came, error_text)
 }
 
 #[test]
@@ -62,9 +62,12 @@ fn pairs_go_on_behind_those_before_once_the_plug_is_in_again() {
         assert!(take(&rig, &mut camera, SECOND, &mut last).0 > 25);
         let before = last;
         rig.faults(number, |faults| faults.is_unplugged = true);
-        let (came, said) = take(&rig, &mut camera, SECOND * 3, &mut last);
+        let (came, error_text) = take(&rig, &mut camera, SECOND * 3, &mut last);
         assert_eq!(came, 0);
-        assert!(said.contains(&format!("serial:SN000{number}")) && said.contains("no pairs until"), "{said}");
+        assert!(
+            error_text.contains(&format!("serial:SN000{number}")) && error_text.contains("no pairs until"),
+            "{error_text}"
+        );
         // A new device does not have the settings of the old one.
         rig.system
             .with(number, |camera| {
@@ -95,8 +98,8 @@ fn a_plug_that_has_no_rights_yet_is_tried_again() {
         faults.is_unplugged = false;
         faults.calls.insert(Call::Open, Errno::ACCESS);
     });
-    let (came, said) = take(&rig, &mut camera, SECOND, &mut last);
-    assert!(came == 0 && said.contains("cannot be queried"), "{came} came: {said}");
+    let (came, error_text) = take(&rig, &mut camera, SECOND, &mut last);
+    assert!(came == 0 && error_text.contains("cannot be queried"), "{came} came: {error_text}");
     rig.faults(1, |faults| faults.calls.clear());
     assert!(take(&rig, &mut camera, SECOND, &mut last).0 > 20);
 }
@@ -136,9 +139,9 @@ fn at_ports(numbers: [Option<&str>; 2]) -> (Rig, ReopeningCamera) {
 #[test]
 fn exchanged_cables_are_noticed_by_the_serial_numbers() {
     let (rig, mut camera) = at_ports([Some("A"), Some("B")]);
-    assert!(camera.are_told_apart());
-    let (came, said) = plugged_in_again(&rig, &mut camera, in_port(1));
-    assert!(came == 0 && said.contains("left has serial number B, not A"), "{came} came: {said}");
+    assert!(camera.are_distinguished());
+    let (came, error_text) = plugged_in_again(&rig, &mut camera, in_port(1));
+    assert!(came == 0 && error_text.contains("left has serial number B, not A"), "{came} came: {error_text}");
     assert_eq!(camera.reopened(), 0);
     (0..2).for_each(|number| rig.system.with(number, |camera| in_port(0)(number, camera)).unwrap());
     assert!(take(&rig, &mut camera, SECOND, &mut (0, MonotonicTime::ZERO)).0 > 20);
@@ -157,15 +160,18 @@ fn cameras_are_identified_by_number_or_by_port() {
         (config.left.name, config.right.name) = ("/dev/video0".parse().unwrap(), "/dev/video1".parse().unwrap());
         let system = Arc::new(rig.system.clone());
         let mut camera = ReopeningCamera::open(system, rig.clock.clone(), config, LOOKED_FOR).unwrap();
-        assert!(!camera.are_told_apart());
-        let (came, said) = plugged_in_again(&rig, &mut camera, in_port(1));
-        assert!(came == 0 && said.contains("left has port usb-emulated-1, not usb-emulated-0"), "{came} came: {said}");
+        assert!(!camera.are_distinguished());
+        let (came, error_text) = plugged_in_again(&rig, &mut camera, in_port(1));
+        assert!(
+            came == 0 && error_text.contains("left has port usb-emulated-1, not usb-emulated-0"),
+            "{came} came: {error_text}"
+        );
     }
     let (rig, mut camera) = at_ports([Some("A"), Some("B")]);
-    let (came, said) = plugged_in_again(&rig, &mut camera, |number, camera| {
+    let (came, error_text) = plugged_in_again(&rig, &mut camera, |number, camera| {
         camera.entry.serial = Some(["A", "C"][number].to_owned());
     });
-    assert!(came == 0 && said.contains("right has serial number C, not B"), "{came} came: {said}");
+    assert!(came == 0 && error_text.contains("right has serial number C, not B"), "{came} came: {error_text}");
 }
 
 #[test]
@@ -191,8 +197,11 @@ fn it_is_given_up_after_its_time_and_at_once_without_any() {
     };
     let (took_s, _) = lost(Duration::ZERO);
     assert!(took_s < 0.1, "{took_s}");
-    let (took_s, said) = lost(SECOND * 2);
-    assert!((2.0..2.4).contains(&took_s) && said.contains("not available again within 2s"), "{took_s} s: {said}");
+    let (took_s, error_text) = lost(SECOND * 2);
+    assert!(
+        (2.0..2.4).contains(&took_s) && error_text.contains("not available again within 2s"),
+        "{took_s} s: {error_text}"
+    );
 }
 
 #[test]

@@ -37,8 +37,8 @@ fn system_clock_runs_with_the_machine() {
     let inner = Instant::now();
     clock.sleep_until(before + Duration::from_millis(20));
     let inner = inner.elapsed();
-    let told = clock.now().saturating_since(before);
+    let measured = clock.now().saturating_since(before);
     let outer = outer.elapsed();
-    assert!(told >= Duration::from_millis(20));
-    assert!(inner <= told && told <= outer, "{inner:?}, {told:?}, {outer:?}");
+    assert!(measured >= Duration::from_millis(20));
+    assert!(inner <= measured && measured <= outer, "{inner:?}, {measured:?}, {outer:?}");
 }

@@ -45,7 +45,7 @@ impl<A> Default for ArmHooks<A> {
 /// The arm moves: each joint by about four times `speed * settles_within` to both sides of its start.
 ///
 /// Rules: `info-is-real`, `starts-disabled`, `hold-always-works`, `velocity-needs-enable`, `enables-at-rest`,
-/// `enable-only-from-disabled`, `moves-as-told`, `hold-comes-to-rest`, `samples-in-order`, `returns-in-time`,
+/// `enable-only-from-disabled`, `moves-as-commanded`, `hold-comes-to-rest`, `samples-in-order`, `returns-in-time`,
 /// `not-finite-is-rejected`, `error-cancels-motion`, `goes-on-after-an-error`, `lost-reply-is-a-timeout`, `stop-disables`,
 /// `stop-is-harmless-again`, `fault-latches`, `e-stop-latches`, `reset-needs-the-cause-gone`, `reset-leads-to-disabled`,
 /// `unexpected-error`.
@@ -266,14 +266,14 @@ fn check_motion<A: Arm + ArmPower>(bench: &mut Bench<'_, A>) {
             let elapsed_s = to.at.seconds_since(from.at);
             let moved = (to.position_rad - from.position_rad) / elapsed_s;
             let tolerance = 0.1 * bench.expectations.speed_rad_per_s;
-            let as_told = elapsed_s > 0.0
+            let as_commanded = elapsed_s > 0.0
                 && (moved - velocity).amax() <= tolerance
                 && (to.velocity_rad_per_s - velocity).amax() <= tolerance;
-            bench.report.check("moves-as-told", as_told, || {
-                let told = velocity[joint];
+            bench.report.check("moves-as-told", as_commanded, || {
+                let commanded = velocity[joint];
                 let (moved, measured) = (moved.as_slice(), to.velocity_rad_per_s);
                 format!(
-                    "joint {joint} at {told} rad/s: the angles moved at {moved:?} rad/s, measured {:?}",
+                    "joint {joint} at {commanded} rad/s: the angles moved at {moved:?} rad/s, measured {:?}",
                     measured.as_slice()
                 )
             });

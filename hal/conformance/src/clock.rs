@@ -45,7 +45,7 @@ fn check_readings(clock: &dyn Clock, report: &mut Report) {
 fn check_threads<C: Clock>(clock: &C, report: &mut Report) {
     for _ in 0..THREADS {
         let before = clock.now();
-        let seen = std::thread::scope(|scope| {
+        let in_thread = std::thread::scope(|scope| {
             let reader = scope.spawn(|| {
                 clock.sleep_until(before + Duration::from_micros(50));
                 clock.now()
@@ -53,9 +53,10 @@ fn check_threads<C: Clock>(clock: &C, report: &mut Report) {
             reader.join().ok()
         });
         let after = clock.now();
-        let ordered = seen.is_some_and(|seen| before <= seen && seen <= after);
-        report
-            .check("one-time-for-all-threads", ordered, || format!("{before:?}, in a thread {seen:?}, then {after:?}"));
+        let ordered = in_thread.is_some_and(|in_thread| before <= in_thread && in_thread <= after);
+        report.check("one-time-for-all-threads", ordered, || {
+            format!("{before:?}, in a thread {in_thread:?}, then {after:?}")
+        });
     }
 }
 

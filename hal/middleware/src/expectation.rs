@@ -200,8 +200,8 @@ mod tests {
                 expectation.command(&JointVector::repeat(command_at(10 * k)));
                 let mut moved = 0.0;
                 for tenth in 0..100 {
-                    let heard = if 10 * k + tenth / 10 < 15 { 0.0 } else { command_at((100 * k + tenth) / 10 - 15) };
-                    velocity += ((heard - velocity) / 0.03).clamp(-5.0, 5.0) * 1e-4;
+                    let executed = if 10 * k + tenth / 10 < 15 { 0.0 } else { command_at((100 * k + tenth) / 10 - 15) };
+                    velocity += ((executed - velocity) / 0.03).clamp(-5.0, 5.0) * 1e-4;
                     moved += velocity * 1e-4;
                 }
                 let error = expectation.error_after(&JointVector::repeat(moved), Duration::from_millis(10));

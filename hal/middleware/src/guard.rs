@@ -105,7 +105,7 @@ pub struct Guard<A> {
     jumps: u32,
     recent_jumps: RecentFailures,
     /// The arm is being enabled: the first comparison may be with an old measurement.
-    is_switching_on: bool,
+    is_enabling: bool,
     /// Cause of the stop.
     latched: Option<String>,
     on_stop: Option<Box<dyn FnMut() + Send>>,
@@ -133,7 +133,7 @@ impl<A: Arm> Guard<A> {
             drifted_for: [Duration::ZERO; DOF],
             jumps: 0,
             recent_jumps: RecentFailures::default(),
-            is_switching_on: false,
+            is_enabling: false,
             latched: None,
             on_stop: None,
         })
@@ -162,9 +162,9 @@ impl<A: Arm> Guard<A> {
         if let Some(stop) = &mut self.on_stop {
             stop();
         }
-        let told = self.arm.exchange(JointCommand::Hold);
+        let answer = self.arm.exchange(JointCommand::Hold);
         self.expectation.command(&JointVector::zeros());
-        let link = told.err().map_or(String::new(), |error| format!(" (and the hold command failed: {error})"));
+        let link = answer.err().map_or(String::new(), |error| format!(" (and the hold command failed: {error})"));
         let error = self.error(ArmErrorKind::Fault, &format!("{reason}; the arm holds{link}")).of_joint(joint);
         self.latched = Some(reason);
         error
@@ -225,8 +225,9 @@ impl<A: Arm> Guard<A> {
             self.found_beyond_rad = beyond_rad;
         }
         for joint in 0..DOF {
-            let found_rad = &mut self.found_beyond_rad[joint];
-            let allowed_rad = if *found_rad > 0.0 { *found_rad + RETURN_SWING_RAD } else { LIMIT_ROUNDING_RAD };
+            let first_position_rad = &mut self.found_beyond_rad[joint];
+            let allowed_rad =
+                if *first_position_rad > 0.0 { *first_position_rad + RETURN_SWING_RAD } else { LIMIT_ROUNDING_RAD };
             if beyond_rad[joint] > allowed_rad {
                 let [angle, min, max] = [&sample.position_rad, limits.position_min_rad(), limits.position_max_rad()]
                     .map(|of| of[joint].to_degrees());
@@ -236,7 +237,7 @@ impl<A: Arm> Guard<A> {
                 );
                 return Some((joint, reason));
             }
-            *found_rad = found_rad.min(beyond_rad[joint]);
+            *first_position_rad = first_position_rad.min(beyond_rad[joint]);
         }
         None
     }
@@ -295,7 +296,7 @@ impl<A: Arm> Guard<A> {
     /// Checks a sample; it becomes the newest unless it jumps.
     fn judge(&mut self, sample: JointState) -> Result<JointState, ArmError> {
         let old = self.arm.info().cycle * OLD_CYCLES;
-        if self.is_switching_on && self.newest.is_some_and(|last| sample.at.saturating_since(last.at) > old) {
+        if self.is_enabling && self.newest.is_some_and(|last| sample.at.saturating_since(last.at) > old) {
             self.forget();
         }
         if let Some(reason) = self.beyond_limit(&sample) {
@@ -391,11 +392,11 @@ impl<A: Arm + ArmPower> ArmPower for Guard<A> {
             PowerOrder::Enable(_) | PowerOrder::BeginEnable(_) => {
                 self.check_latched()?;
                 self.forget();
-                self.is_switching_on = matches!(order, PowerOrder::BeginEnable(_));
+                self.is_enabling = matches!(order, PowerOrder::BeginEnable(_));
             }
             PowerOrder::PollEnable => self.check_latched()?,
             PowerOrder::Stop => {
-                self.is_switching_on = false;
+                self.is_enabling = false;
                 self.forget();
             }
             PowerOrder::Reset if self.latched.is_some() => close_brakes(&mut self.arm)?,
@@ -403,7 +404,7 @@ impl<A: Arm + ArmPower> ArmPower for Guard<A> {
         }
         let progress = self.arm.power(order)?;
         match order {
-            PowerOrder::PollEnable => self.is_switching_on = progress.is_pending(),
+            PowerOrder::PollEnable => self.is_enabling = progress.is_pending(),
             PowerOrder::Reset => {
                 self.forget();
                 self.latched = None;

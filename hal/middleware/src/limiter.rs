@@ -13,7 +13,7 @@ use pb3dp_kinematics::{DOF, EffectiveLimits, JointVector};
 
 use crate::guard::LIMIT_ROUNDING_RAD;
 use crate::last_command::{CommandFade, LastCommand};
-use crate::shaping::{self, Caps, Room, SetPoint, Step};
+use crate::shaping::{self, CycleInput, SetPoint, SpeedCaps, StopDistance};
 use crate::stopping::DriveLimits;
 
 /// Near a limit the speed cap is distance / T: a control loop of gain 1/T, closed over the reaction time. Such a loop overshoots
@@ -255,8 +255,8 @@ impl<A: Arm> Limiter<A> {
         let operating = self.limits.operating();
         let speeds = *operating.velocity_max_rad_per_s();
         let drives = &self.drives;
-        let step = Step { previous: &previous, dt_s: since.as_secs_f64(), drives, speeds: &speeds };
-        let nowhere = Caps { lower: -speeds, upper: speeds, by_position: [[false; 2]; DOF] };
+        let step = CycleInput { previous: &previous, dt_s: since.as_secs_f64(), drives, speeds: &speeds };
+        let nowhere = SpeedCaps { lower: -speeds, upper: speeds, by_position: [[false; 2]; DOF] };
         let Some((age, sample)) = fresh else {
             self.statistics.held_stale += 1;
             return shaping::shape(desired, &nowhere, &step, None).set_point;
@@ -265,13 +265,13 @@ impl<A: Arm> Limiter<A> {
         let position = &sample.position_rad;
         let near_s = NO_OVERSHOOT * reaction.as_secs_f64();
         let caps = shaping::caps(position, operating, &speeds, drives, near_s);
-        let room = Room {
+        let stop_distance = StopDistance {
             to_ends: [position - operating.position_min_rad(), operating.position_max_rad() - position],
             peaks: self.last.peaks_since(now - reaction),
             // A command that may be the last one for a while.
             reaction_s: (reaction + config.command_timeout).as_secs_f64(),
         };
-        let shaped = shaping::shape(desired, &caps, &step, Some(&room));
+        let shaped = shaping::shape(desired, &caps, &step, Some(&stop_distance));
         self.statistics.speed_limited += u64::from(shaped.speed_limited);
         self.statistics.position_limited += u64::from(shaped.position_limited);
         self.statistics.acceleration_limited += u64::from(shaped.acceleration_limited);

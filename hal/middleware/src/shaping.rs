@@ -6,7 +6,7 @@ use crate::stopping::{DriveLimit, DriveLimits, braking_speed};
 
 /// Allowed velocities at a position, with the reason.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Caps {
+pub(crate) struct SpeedCaps {
     pub lower: JointVector,
     pub upper: JointVector,
     /// Whether the distance to a limit, and not the joint's speed limit, decides: downwards and upwards.
@@ -28,7 +28,7 @@ impl SetPoint {
 
 /// Remaining range, and the part of it that earlier set-points use.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Room {
+pub(crate) struct StopDistance {
     /// Distance from the measured angles down and up to the limits, rad; negative outside.
     pub to_ends: [JointVector; 2],
     /// Largest speeds downwards and upwards of set-points that the measured angles may not show yet, rad/s.
@@ -47,7 +47,7 @@ pub(crate) struct Shaped {
 }
 
 /// Allowed changes of velocity until the next set-point.
-pub(crate) struct Step<'a> {
+pub(crate) struct CycleInput<'a> {
     pub previous: &'a SetPoint,
     pub dt_s: f64,
     pub drives: &'a DriveLimits,
@@ -63,8 +63,9 @@ pub(crate) fn caps(
     speeds: &JointVector,
     drives: &DriveLimits,
     reaction_s: f64,
-) -> Caps {
-    let mut caps = Caps { lower: JointVector::zeros(), upper: JointVector::zeros(), by_position: [[false; 2]; DOF] };
+) -> SpeedCaps {
+    let mut caps =
+        SpeedCaps { lower: JointVector::zeros(), upper: JointVector::zeros(), by_position: [[false; 2]; DOF] };
     for i in 0..DOF {
         let (drive, speed) = (drives.of(i), speeds[i]);
         let fastest = |distance: f64| braking_speed(distance, drive.acceleration, reaction_s + drive.rounding_s());
@@ -83,22 +84,27 @@ pub(crate) fn caps(
 /// Too fast: the whole vector is scaled, so that the hand keeps its direction. Too sudden: the whole vector is scaled as much as
 /// that helps; if no multiple of it can be reached at once (the direction changes), each joint changes up to its limit. Without a
 /// range the state of the arm is unknown: each joint stops as quickly as allowed.
-pub(crate) fn shape(desired: &JointVector, caps: &Caps, step: &Step<'_>, room: Option<&Room>) -> Shaped {
+pub(crate) fn shape(
+    desired: &JointVector,
+    caps: &SpeedCaps,
+    step: &CycleInput<'_>,
+    stop_distance: Option<&StopDistance>,
+) -> Shaped {
     let (target, mut shaped) = scaled_to_caps(desired, caps);
-    let wanted = if room.is_some() { target } else { JointVector::zeros() };
+    let wanted = if stop_distance.is_some() { target } else { JointVector::zeros() };
     let mut intervals = [(0.0, 0.0); DOF];
     for (i, interval) in intervals.iter_mut().enumerate() {
         let joint = step.joint(i);
         let (lowest, highest) = joint.reachable();
-        let (lowest, highest) = match room {
-            Some(room) => joint.within(room, i, (lowest, highest)),
+        let (lowest, highest) = match stop_distance {
+            Some(stop_distance) => joint.within(stop_distance, i, (lowest, highest)),
             None => (lowest, highest),
         };
         shaped.position_limited |= !(lowest..=highest).contains(&joint.towards(wanted[i], joint.reachable()));
         let nearest = joint.towards(wanted[i], (lowest, highest));
         *interval = if wanted[i] >= joint.velocity { (lowest, nearest) } else { (nearest, highest) };
     }
-    let along = match room {
+    let along = match stop_distance {
         Some(_) if target != JointVector::zeros() => nearest_multiple(&target, 1.0, &intervals),
         // During deceleration the hand keeps its direction.
         Some(_) => nearest_multiple(&step.previous.velocity, 0.0, &intervals),
@@ -126,7 +132,7 @@ pub(crate) fn differ(one: &JointVector, other: &JointVector) -> bool {
 }
 
 /// A multiple of `desired`, at most 1, within the caps.
-fn scaled_to_caps(desired: &JointVector, caps: &Caps) -> (JointVector, Shaped) {
+fn scaled_to_caps(desired: &JointVector, caps: &SpeedCaps) -> (JointVector, Shaped) {
     let mut shaped = Shaped {
         set_point: SetPoint::rest(),
         speed_limited: false,
@@ -164,7 +170,7 @@ fn nearest_multiple(direction: &JointVector, wanted: f64, intervals: &[(f64, f64
     (least <= most).then(|| direction * wanted.clamp(least, most))
 }
 
-/// One joint of a [`Step`].
+/// One joint of a [`CycleInput`].
 struct JointStep {
     velocity: f64,
     acceleration: f64,
@@ -173,7 +179,7 @@ struct JointStep {
     speed: f64,
 }
 
-impl Step<'_> {
+impl CycleInput<'_> {
     fn joint(&self, i: usize) -> JointStep {
         JointStep {
             velocity: self.previous.velocity[i],
@@ -209,10 +215,10 @@ impl JointStep {
 
     /// The part of an interval of velocities from which the joint can stop in range; if there is none, the velocity that stops
     /// soonest.
-    fn within(&self, room: &Room, i: usize, (lowest, highest): (f64, f64)) -> (f64, f64) {
+    fn within(&self, stop_distance: &StopDistance, i: usize, (lowest, highest): (f64, f64)) -> (f64, f64) {
         let to_rest = self.towards(0.0, (lowest, highest));
-        let lower = -self.farthest(-to_rest, -lowest, |velocity| self.has_room(room, i, 0, velocity));
-        let upper = self.farthest(to_rest, highest, |velocity| self.has_room(room, i, 1, velocity));
+        let lower = -self.farthest(-to_rest, -lowest, |velocity| self.has_room(stop_distance, i, 0, velocity));
+        let upper = self.farthest(to_rest, highest, |velocity| self.has_room(stop_distance, i, 1, velocity));
         (lower, upper)
     }
 
@@ -236,7 +242,7 @@ impl JointStep {
 
     /// Whether the joint stays in its range if it moves with this speed to `side` (0 downwards, 1 upwards) and then stops. Outside
     /// the range it may only come back.
-    fn has_room(&self, room: &Room, i: usize, side: usize, speed: f64) -> bool {
+    fn has_room(&self, stop_distance: &StopDistance, i: usize, side: usize, speed: f64) -> bool {
         let upwards = [-1.0, 1.0][side];
         let acceleration = match self.dt_s > 0.0 {
             true => (speed - upwards * self.velocity) / self.dt_s,
@@ -244,8 +250,8 @@ impl JointStep {
         };
         // An acceleration ends within the limit of jerk: until then the joint still gains speed, and each of these speeds may last.
         let gained = acceleration.max(0.0).powi(2) / (2.0 * self.drive.jerk);
-        let meanwhile = room.reaction_s * room.peaks[side][i].max(speed + gained).max(0.0);
-        meanwhile + self.drive.way_to_rest(speed, acceleration) <= room.to_ends[side][i].max(0.0)
+        let meanwhile = stop_distance.reaction_s * stop_distance.peaks[side][i].max(speed + gained).max(0.0);
+        meanwhile + self.drive.way_to_rest(speed, acceleration) <= stop_distance.to_ends[side][i].max(0.0)
     }
 }
 

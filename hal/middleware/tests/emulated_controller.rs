@@ -56,7 +56,7 @@ impl Arm for VirtualArm {
     fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
         let mut bench = self.bench();
         let now = bench.now;
-        let told = match command {
+        let commanded = match command {
             JointCommand::Velocity(velocity) => bench.driver.handle_request(now, Request::Move(velocity)),
             JointCommand::Hold if bench.driver.state() == DriverState::Moving => {
                 bench.driver.handle_request(now, Request::Hold)
@@ -69,7 +69,7 @@ impl Arm for VirtualArm {
         if is_latched {
             return Err(self.error(ArmErrorKind::Fault));
         }
-        told.map_err(|_| self.error(ArmErrorKind::Rejected))?;
+        commanded.map_err(|_| self.error(ArmErrorKind::Rejected))?;
         Ok(joints)
     }
 }
@@ -361,12 +361,12 @@ fn after_a_stall_the_velocity_goes_on_from_what_the_driver_left_of_it() {
         for _ in 0..100 {
             arm.limiter.exchange(JointCommand::Velocity(desired)).unwrap();
         }
-        let told = |arm: &Chained| arm.bench.lock().unwrap().plant.lock().unwrap().commanded_rad_per_s()[2];
+        let commanded = |arm: &Chained| arm.bench.lock().unwrap().plant.lock().unwrap().commanded_rad_per_s()[2];
         arm.bench.lock().unwrap().run(Duration::from_millis(stall_ms));
-        let before = told(&arm);
+        let before = commanded(&arm);
         assert!(before < 1.4, "{stall_ms} ms: {before}");
         arm.limiter.exchange(JointCommand::Velocity(desired)).unwrap();
-        let after = told(&arm);
+        let after = commanded(&arm);
         // The last cycle of the driver is up to one bus cycle old.
         assert!(after <= before + most + 1e-9 && after > 0.0, "{stall_ms} ms: from {before} to {after} rad/s");
     }

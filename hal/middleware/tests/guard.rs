@@ -22,18 +22,21 @@ struct Bench {
     guard: Guard<Tampered>,
     clock: Arc<VirtualClock>,
     tamper: Arc<Mutex<Option<Tamper>>>,
-    told: Arc<Mutex<Vec<JointCommand>>>,
+    commanded: Arc<Mutex<Vec<JointCommand>>>,
 }
 
 impl Bench {
     fn new(start: [f64; DOF], speed_scale: f64) -> Self {
         let clock = Arc::new(VirtualClock::new());
-        let (tamper, told) = (Arc::new(Mutex::new(None)), Arc::new(Mutex::new(Vec::new())));
-        let arm =
-            Tampered { arm: mock_arm(&clock, start.into()), tamper: Arc::clone(&tamper), told: Arc::clone(&told) };
+        let (tamper, commanded) = (Arc::new(Mutex::new(None)), Arc::new(Mutex::new(Vec::new())));
+        let arm = Tampered {
+            arm: mock_arm(&clock, start.into()),
+            tamper: Arc::clone(&tamper),
+            commanded: Arc::clone(&commanded),
+        };
         let mut guard = Guard::new(arm, limits(speed_scale), guard_config()).unwrap();
         guard.enable().unwrap();
-        Self { guard, clock, tamper, told }
+        Self { guard, clock, tamper, commanded }
     }
 
     fn tamper(&self, with: impl FnMut(&mut JointState) + Send + 'static) {
@@ -56,19 +59,19 @@ impl Bench {
         None
     }
 
-    fn last_told(&self) -> JointCommand {
-        *self.told.lock().unwrap().last().unwrap()
+    fn last_command(&self) -> JointCommand {
+        *self.commanded.lock().unwrap().last().unwrap()
     }
 
     /// Latched: velocities are refused and do not reach the arm, hold works, and only a reset ends the latch and leads to
     /// `Disabled`.
     fn assert_latched_until_reset(&mut self) {
-        assert_eq!(self.last_told(), JointCommand::Hold);
+        assert_eq!(self.last_command(), JointCommand::Hold);
         assert_eq!(self.guard.state(), ArmState::Fault);
         let error = self.step(velocity(2, 0.05)).unwrap_err();
         assert_eq!(error.kind(), ArmErrorKind::Fault);
         assert!(error.to_string().contains("remove the cause, then reset"), "{error}");
-        assert_eq!(self.last_told(), JointCommand::Hold);
+        assert_eq!(self.last_command(), JointCommand::Hold);
         self.step(JointCommand::Hold).unwrap();
         assert_eq!(self.guard.enable().unwrap_err().kind(), ArmErrorKind::Fault);
         *self.tamper.lock().unwrap() = None;
@@ -80,7 +83,7 @@ impl Bench {
 }
 
 #[test]
-fn a_joint_that_does_not_go_where_it_is_told_stops_the_arm() {
+fn a_joint_that_does_not_follow_its_command_stops_the_arm() {
     let mut bench = Bench::new(START, 0.6);
     bench.step(JointCommand::Hold).unwrap();
     let stuck_at = START[3];
@@ -180,7 +183,7 @@ fn one_sample_that_jumps_is_thrown_away_and_two_stop_the_arm() {
     let error = bench.step(velocity(6, 0.3)).unwrap_err();
     assert_eq!(error.kind(), ArmErrorKind::Timeout);
     assert!(error.to_string().contains("axis 7 seems to have moved by +17."), "{error}");
-    assert_eq!(bench.last_told(), JointCommand::Hold);
+    assert_eq!(bench.last_command(), JointCommand::Hold);
     bench.step(velocity(6, 0.3)).unwrap();
     assert_eq!(bench.guard.latched(), None);
     // The guard commands a hold after each wrong sample, and the answer to the hold is wrong as well.
@@ -387,10 +390,10 @@ proptest! {
 /// A joint that no longer follows its drive moves although the arm holds: the part that can close the brakes gets one report at
 /// once.
 #[test]
-fn who_can_brake_is_told_when_the_guard_stops_the_arm() {
+fn the_brakes_are_commanded_when_the_guard_stops_the_arm() {
     let clock = Arc::new(VirtualClock::new());
-    let told = Arc::new(Mutex::new(0));
-    let count = Arc::clone(&told);
+    let commanded = Arc::new(Mutex::new(0));
+    let count = Arc::clone(&commanded);
     let mut guard =
         Guard::new(mock_arm(&clock, START.into()), limits(0.1), guard_config()).unwrap().on_stop(move || {
             *count.lock().unwrap() += 1;
@@ -400,7 +403,7 @@ fn who_can_brake_is_told_when_the_guard_stops_the_arm() {
         clock.sleep_until(clock.now() + CYCLE);
         // Ten times the allowed speed.
         let stopped = guard.exchange(velocity(0, 1.0)).is_err();
-        assert_eq!(*told.lock().unwrap(), u32::from(guard.latched().is_some()), "cycle {cycle}, {stopped}");
+        assert_eq!(*commanded.lock().unwrap(), u32::from(guard.latched().is_some()), "cycle {cycle}, {stopped}");
     }
-    assert_eq!(*told.lock().unwrap(), 1);
+    assert_eq!(*commanded.lock().unwrap(), 1);
 }

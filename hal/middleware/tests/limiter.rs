@@ -45,9 +45,9 @@ fn noted() -> (Limiter<Tampered>, Arc<VirtualClock>, Arc<Mutex<Vec<JointCommand>
     let clock = Arc::new(VirtualClock::new());
     let mut arm = mock_arm(&clock, JointVector::zeros());
     arm.enable().unwrap();
-    let told = Arc::default();
-    let arm = Tampered { arm, told: Arc::clone(&told), tamper: Arc::default() };
-    (Limiter::new(arm, limits(1.0), limiter_config(), Arc::clone(&clock) as Arc<dyn Clock>).unwrap(), clock, told)
+    let commanded = Arc::default();
+    let arm = Tampered { arm, commanded: Arc::clone(&commanded), tamper: Arc::default() };
+    (Limiter::new(arm, limits(1.0), limiter_config(), Arc::clone(&clock) as Arc<dyn Clock>).unwrap(), clock, commanded)
 }
 
 /// Expects exactly these commands, and answers each with a current sample.
@@ -199,8 +199,8 @@ fn an_arm_that_latched_away_from_its_start_pose_names_the_cause_of_its_latch() {
     limiter.exchange(rest()).unwrap();
     assert_eq!(limiter.exchange(velocity(1, 0.2)).unwrap_err().kind(), ArmErrorKind::Rejected, "rest is no start");
     limiter.arm().faults().raise_fault("an overcurrent");
-    let told = limiter.exchange(rest()).unwrap_err().to_string();
-    assert!(told.contains("an overcurrent") && !told.contains("start pose"), "{told}");
+    let error = limiter.exchange(rest()).unwrap_err().to_string();
+    assert!(error.contains("an overcurrent") && !error.contains("start pose"), "{error}");
 }
 
 /// An arm that has started at its start pose may continue from another position, also if the first try to enable it failed.
@@ -287,9 +287,9 @@ fn a_velocity_after_a_hold_goes_on_from_where_each_joint_really_is() {
         tell(JointCommand::Hold);
     }
     let measured = tell(rest()).velocity_rad_per_s;
-    let Some(&JointCommand::Velocity(told)) = passed.lock().unwrap().last() else { panic!("no velocity") };
+    let Some(&JointCommand::Velocity(commanded)) = passed.lock().unwrap().last() else { panic!("no velocity") };
     assert!(measured[3] > 0.7 && measured[6] < 0.01, "{measured}");
-    assert!((told - measured).amax() < 0.1, "told {told}, at {measured}");
+    assert!((commanded - measured).amax() < 0.1, "commanded {commanded}, at {measured}");
 }
 
 #[test]
@@ -343,7 +343,7 @@ fn after_an_error_of_the_arm_the_start_is_from_rest() {
 /// The arm's own ramp ends at rest: its deceleration is not continued beyond, against the direction that is asked for.
 #[test]
 fn after_a_lost_reply_no_joint_turns_around() {
-    let (mut limiter, clock, told) = noted();
+    let (mut limiter, clock, commanded) = noted();
     for cycle in 0..20 {
         if cycle == 6 {
             limiter.arm().arm.faults().drop_replies(1);
@@ -351,7 +351,7 @@ fn after_a_lost_reply_no_joint_turns_around() {
         clock.sleep_until(clock.now() + CYCLE);
         assert_eq!(limiter.exchange(velocity(1, 0.1)).is_err(), cycle == 6);
     }
-    let told: Vec<f64> = told
+    let commanded: Vec<f64> = commanded
         .lock()
         .unwrap()
         .iter()
@@ -360,7 +360,7 @@ fn after_a_lost_reply_no_joint_turns_around() {
             JointCommand::Hold => 0.0,
         })
         .collect();
-    assert!(told.iter().all(|&speed| speed >= 0.0) && told[5] > 0.05, "{told:?}");
+    assert!(commanded.iter().all(|&speed| speed >= 0.0) && commanded[5] > 0.05, "{commanded:?}");
 }
 
 #[test]
@@ -462,7 +462,7 @@ impl Wild {
         let mut arm = mock_arm(&clock, start);
         arm.enable().unwrap();
         let (passed, frozen) = (Arc::new(Mutex::new(Vec::new())), Arc::default());
-        let arm = Tampered { arm, told: Arc::clone(&passed), tamper: Arc::clone(&frozen) };
+        let arm = Tampered { arm, commanded: Arc::clone(&passed), tamper: Arc::clone(&frozen) };
         let limiter =
             Limiter::new(arm, limits(speed_scale), limiter_config(), Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
         let speeds = *limits(speed_scale).velocity_max_rad_per_s();

@@ -62,7 +62,7 @@ fn the_last_exchanges_are_kept_with_what_came_of_them() {
 }
 
 #[test]
-fn an_arm_that_refuses_to_begin_is_told_and_kept() {
+fn an_arm_that_refuses_to_begin_is_reported_and_kept() {
     let log = FlightLog::with_capacity(5);
     let mut arm = MockScriptedArm::new();
     arm.expect_power().times(1).returning(|_| Err(ArmError::new(ArmErrorKind::Fault, "latched")));

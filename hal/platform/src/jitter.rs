@@ -56,10 +56,10 @@ impl JitterMeter {
         let max = Duration::from_nanos(self.max_nanos.load(Ordering::Relaxed));
         let at_most = |percent: u64| {
             let wanted = (cycles * percent).div_ceil(100);
-            let mut seen = 0;
+            let mut counted = 0;
             let found = counts.iter().position(|count| {
-                seen += count;
-                seen >= wanted
+                counted += count;
+                counted >= wanted
             });
             found.map_or(max, |index| Duration::from_micros(upper_bound_us(index)).min(max))
         };

@@ -49,7 +49,7 @@ pub enum KeyFileError {
         user: u32,
     },
     /// It is a folder, a pipe or a device.
-    #[error("key file {}: it is no regular file", file.display())]
+    #[error("key file {}: it is not a regular file", file.display())]
     NotRegular {
         /// The file.
         file: PathBuf,
@@ -103,7 +103,7 @@ pub fn read_key(file: &Path, bytes_min: usize) -> Result<Vec<u8>, KeyFileError> 
 /// Opens a regular file for reading. A named pipe would block the program, and a device may never end.
 ///
 /// # Errors
-/// If the file cannot be opened; of the kind [`ErrorKind::InvalidInput`] if it is no regular file.
+/// If the file cannot be opened; of the kind [`ErrorKind::InvalidInput`] if it is not a regular file.
 pub fn open_regular(file: &Path) -> std::io::Result<File> {
     let opened = File::options().read(true).custom_flags(libc::O_NONBLOCK).open(file)?;
     // Of the open file: the name may lead elsewhere a moment later.

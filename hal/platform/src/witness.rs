@@ -55,8 +55,8 @@ impl Witness {
     /// Largest latency of all threads.
     pub fn end(mut self) -> Jitter {
         self.is_over.store(true, Ordering::Relaxed);
-        let seen = self.threads.drain(..).filter_map(|thread| thread.join().ok());
-        seen.max_by_key(|jitter| jitter.max).unwrap_or_default()
+        let worst_first = self.threads.drain(..).filter_map(|thread| thread.join().ok());
+        worst_first.max_by_key(|jitter| jitter.max).unwrap_or_default()
     }
 }
 
@@ -87,7 +87,7 @@ mod tests {
     fn it_counts_while_it_lives() {
         let witness = Witness::start().unwrap();
         sleep_until(now() + Duration::from_millis(50));
-        let seen = witness.end();
-        assert!(seen.cycles > 0 && seen.max >= seen.p50, "{seen:?}");
+        let worst_first = witness.end();
+        assert!(worst_first.cycles > 0 && worst_first.max >= worst_first.p50, "{worst_first:?}");
     }
 }

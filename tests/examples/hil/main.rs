@@ -251,11 +251,11 @@ struct Options {
 }
 
 impl Options {
-    fn parse(mut words: impl Iterator<Item = String>) -> Result<Self> {
+    fn parse(mut args: impl Iterator<Item = String>) -> Result<Self> {
         let mut options = Self::default();
-        while let Some(word) = words.next() {
-            let value = words.next().with_context(|| format!("{word}: no value given"))?;
-            match word.as_str() {
+        while let Some(arg) = args.next() {
+            let value = args.next().with_context(|| format!("{arg}: no value given"))?;
+            match arg.as_str() {
                 "--stop-after" => {
                     let seconds: f64 = value.parse().with_context(|| format!("--stop-after {value}: not a number"))?;
                     options.stop_after_s = Some(seconds);

@@ -25,7 +25,7 @@ pub struct Host {
     program: Child,
     terminal: Pty,
     written: [Receiver<String>; 2],
-    seen: Vec<String>,
+    lines_read: Vec<String>,
 }
 
 impl Host {
@@ -38,7 +38,7 @@ impl Host {
         command.arg("--out").arg(files.path("out")).current_dir(files.path("."));
         let mut program = command.stdin(input).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn()?;
         let (Some(answers), Some(log)) = (program.stdout.take(), program.stderr.take()) else { bail!("no pipes") };
-        Ok(Self { program, terminal, written: [program_lines(answers), program_lines(log)], seen: Vec::new() })
+        Ok(Self { program, terminal, written: [program_lines(answers), program_lines(log)], lines_read: Vec::new() })
     }
 
     /// Types a line.
@@ -60,24 +60,24 @@ impl Host {
         let begin = Instant::now();
         while begin.elapsed() < BEGINS_WITHIN {
             self.read();
-            if self.seen.iter().any(|line| line.contains(answer)) {
+            if self.lines_read.iter().any(|line| line.contains(answer)) {
                 return Ok(true);
             }
-            if self.seen.iter().any(|line| STOPPED.iter().any(|word| line.contains(word))) {
+            if self.lines_read.iter().any(|line| STOPPED.iter().any(|term| line.contains(term))) {
                 return Ok(false);
             }
             if let Some(status) = self.program.try_wait()? {
                 self.read();
-                bail!("the run ended with {status} before {answer:?}:\n{}", self.seen.join("\n"));
+                bail!("the run ended with {status} before {answer:?}:\n{}", self.lines_read.join("\n"));
             }
             self.say(line)?;
             std::thread::sleep(AGAIN);
         }
-        bail!("{answer:?} was not written:\n{}", self.seen.join("\n"))
+        bail!("{answer:?} was not written:\n{}", self.lines_read.join("\n"))
     }
 
     fn read(&mut self) {
-        self.seen.extend(self.written.iter().flat_map(Receiver::try_iter));
+        self.lines_read.extend(self.written.iter().flat_map(Receiver::try_iter));
     }
 
     /// SIGKILL.
@@ -92,13 +92,13 @@ impl Host {
         let begin = Instant::now();
         while self.program.try_wait()?.is_none() {
             self.read();
-            ensure!(begin.elapsed() < BEGINS_WITHIN, "the run goes on:\n{}", self.seen.join("\n"));
+            ensure!(begin.elapsed() < BEGINS_WITHIN, "the run goes on:\n{}", self.lines_read.join("\n"));
             std::thread::sleep(Duration::from_millis(20));
         }
         // Until both pipes are empty.
         let rest: Vec<_> = self.written.iter().flat_map(Receiver::iter).collect();
-        self.seen.extend(rest);
-        Ok(self.seen.join("\n"))
+        self.lines_read.extend(rest);
+        Ok(self.lines_read.join("\n"))
     }
 }
 

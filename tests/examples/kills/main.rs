@@ -60,15 +60,15 @@ struct Options {
 }
 
 impl Options {
-    fn parse(mut words: impl Iterator<Item = String>) -> Result<Self> {
+    fn parse(mut args: impl Iterator<Item = String>) -> Result<Self> {
         let (mut runs, mut seed, mut program) = (50, 1, None);
-        while let Some(word) = words.next() {
-            let value = words.next().with_context(|| format!("{word}: no value given"))?;
-            match word.as_str() {
+        while let Some(arg) = args.next() {
+            let value = args.next().with_context(|| format!("{arg}: no value given"))?;
+            match arg.as_str() {
                 "--runs" => runs = value.parse().context("--runs: give a whole number")?,
                 "--seed" => seed = value.parse().context("--seed: give a whole number")?,
                 "--program" => program = Some(value.into()),
-                _ => bail!("unknown option {word}; options: --program PATH, --runs N, --seed N"),
+                _ => bail!("unknown option {arg}; options: --program PATH, --runs N, --seed N"),
             }
         }
         ensure!(runs > 0, "--runs 0: give at least 1");
@@ -139,9 +139,12 @@ fn one(options: &Options, killed: Killed, after: Duration) -> Result<Option<Outc
 /// A new program does not take over arms that the death of the first one has latched.
 fn refuses_anew(program: &std::path::Path, cell: &mut Cell) -> Result<()> {
     let mut anew = Host::start(program, &cell.files)?;
-    let seen = anew.end_by_itself()?;
-    ensure!(seen.contains("was latched before this run"), "a new program used the arms of a dead one:\n{seen}");
-    ensure!(seen.contains("host-silent"), "the reason of the latch is missing:\n{seen}");
+    let output_text = anew.end_by_itself()?;
+    ensure!(
+        output_text.contains("was latched before this run"),
+        "a new program used the arms of a dead one:\n{output_text}"
+    );
+    ensure!(output_text.contains("host-silent"), "the reason of the latch is missing:\n{output_text}");
     let moved = cell.watch(Duration::from_millis(100));
     ensure!(moved.last.is_none() && cell.are_braked(), "a new program moved an arm");
     Ok(())
@@ -150,10 +153,10 @@ fn refuses_anew(program: &std::path::Path, cell: &mut Cell) -> Result<()> {
 /// A new gateway knows nothing; neither it nor the waiting program may move the arm, whatever the operator says but `reset`.
 fn moves_nothing_anew(cell: &mut Cell, host: &mut Host, arm: usize) -> Result<()> {
     cell.restart_gateway(arm)?;
-    for word in ["start", "resume"] {
-        host.say(word)?;
+    for arg in ["start", "resume"] {
+        host.say(arg)?;
         let moved = cell.watch(ANEW / 2);
-        ensure!(moved.last.is_none() && cell.are_braked(), "an arm moved after {word:?} behind a new gateway");
+        ensure!(moved.last.is_none() && cell.are_braked(), "an arm moved after {arg:?} behind a new gateway");
     }
     Ok(())
 }

@@ -29,14 +29,14 @@ pub fn check(devices: Devices, report: &mut Report) {
 }
 
 /// Output of the program on standard output, with any exit code.
-fn said(words: &[&str]) -> Result<(bool, String, String), Box<dyn std::error::Error>> {
-    let output = once(words)?;
+fn output_of(args: &[&str]) -> Result<(bool, String, String), Box<dyn std::error::Error>> {
+    let output = once(args)?;
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).trim().to_owned();
     Ok((output.status.success(), text(&output.stdout), text(&output.stderr)))
 }
 
 fn list(devices: Devices) -> Outcome {
-    let (is_good, out, err) = said(&["cameras", "list", "--json"])?;
+    let (is_good, out, err) = output_of(&["cameras", "list", "--json"])?;
     ensure(is_good, || err)?;
     let listed = out.lines().map(serde_json::from_str).collect::<Result<Vec<Value>, _>>()?;
     let names: BTreeSet<&str> = listed.iter().filter_map(|device| device["names"][0].as_str()).collect();
@@ -54,8 +54,8 @@ fn list(devices: Devices) -> Outcome {
 
 fn record(devices: Devices) -> Outcome {
     let pairs = PAIRS.to_string();
-    let words = ["cameras", "record", "--config", HERE, "--out", FOLDER, "--pairs", &pairs, "--json"];
-    let (is_good, out, err) = said(&words)?;
+    let args = ["cameras", "record", "--config", HERE, "--out", FOLDER, "--pairs", &pairs, "--json"];
+    let (is_good, out, err) = output_of(&args)?;
     ensure(is_good, || format!("{out} {err}"))?;
     let sequence = load_sequence(Path::new(FOLDER))?;
     let calibration = sequence.load_calibration()?;
@@ -78,7 +78,7 @@ fn record(devices: Devices) -> Outcome {
 }
 
 fn measure() -> Outcome {
-    let (_, out, err) = said(&["cameras", "check", "--config", HERE, "--pairs", "30", "--json"])?;
+    let (_, out, err) = output_of(&["cameras", "check", "--config", HERE, "--pairs", "30", "--json"])?;
     let report: Value = serde_json::from_str(&out).map_err(|error| format!("{error}: {out} {err}"))?;
     let findings = report["findings"].as_array().ok_or("no findings")?;
     let of_time = |finding: &&Value| finding["check"].as_str().is_some_and(|check| OF_TIME.contains(&check));
@@ -91,11 +91,11 @@ fn measure() -> Outcome {
 }
 
 fn second(devices: Devices) -> Outcome {
-    let words = ["cameras", "record", "--config", HERE, "--out", "/first", "--pairs", "1000", "--json"];
-    let first = Running::start(&words)?;
+    let args = ["cameras", "record", "--config", HERE, "--out", "/first", "--pairs", "1000", "--json"];
+    let first = Running::start(&args)?;
     // The cameras are in use once it writes.
     wait_for("the first program records", || std::fs::read_dir("/first").ok()?.nth(2).map(|_| ()))?;
-    let (is_good, out, err) = said(&["cameras", "check", "--config", HERE, "--pairs", "30"])?;
+    let (is_good, out, err) = output_of(&["cameras", "check", "--config", HERE, "--pairs", "30"])?;
     drop(first);
     ensure(!is_good && err.contains(devices.buses()[0]) && err.contains("used by another program"), || {
         format!("{out} {err}")

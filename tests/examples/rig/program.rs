@@ -23,8 +23,8 @@ const AGAIN: Duration = Duration::from_millis(500);
 const LAST_LINES: usize = 30;
 
 /// Output of the program without input.
-pub fn once(words: &[&str]) -> Result<Output, Box<dyn Error>> {
-    Ok(Command::new(PROGRAM).args(words).output().map_err(|error| format!("{PROGRAM}: {error}"))?)
+pub fn once(args: &[&str]) -> Result<Output, Box<dyn Error>> {
+    Ok(Command::new(PROGRAM).args(args).output().map_err(|error| format!("{PROGRAM}: {error}"))?)
 }
 
 /// A running program, with its output.
@@ -32,13 +32,13 @@ pub struct Running {
     child: Child,
     input: ChildStdin,
     lines: Receiver<String>,
-    heard: Vec<String>,
+    output_lines: Vec<String>,
 }
 
 impl Running {
-    pub fn start(words: &[&str]) -> Result<Self, Box<dyn Error>> {
+    pub fn start(args: &[&str]) -> Result<Self, Box<dyn Error>> {
         let mut command = Command::new(PROGRAM);
-        command.args(words).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        command.args(args).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut child = command.spawn().map_err(|error| format!("{PROGRAM}: {error}"))?;
         let input = child.stdin.take().ok_or("no input")?;
         let (say, lines) = channel();
@@ -56,27 +56,27 @@ impl Running {
                 }
             });
         }
-        Ok(Self { child, input, lines, heard: Vec::new() })
+        Ok(Self { child, input, lines, output_lines: Vec::new() })
     }
 
-    pub fn say(&mut self, word: &str) -> Result<(), Box<dyn Error>> {
-        Ok(writeln!(self.input, "{word}").and_then(|()| self.input.flush())?)
+    pub fn say(&mut self, typed: &str) -> Result<(), Box<dyn Error>> {
+        Ok(writeln!(self.input, "{typed}").and_then(|()| self.input.flush())?)
     }
 
     /// Gives a command and waits for a line with this text; repeats the command whenever no line comes for a while.
-    pub fn wait_for(&mut self, part: &str, word: Option<&str>) -> Result<String, Box<dyn Error>> {
-        word.map_or(Ok(()), |word| self.say(word))?;
+    pub fn wait_for(&mut self, part: &str, typed: Option<&str>) -> Result<String, Box<dyn Error>> {
+        typed.map_or(Ok(()), |typed| self.say(typed))?;
         let end = Instant::now() + LONG;
         while Instant::now() < end {
             match self.lines.recv_timeout(AGAIN) {
                 Ok(line) => {
-                    self.heard.push(format!("{:.2} s: {line}", now().as_nanos() as f64 * 1e-9));
-                    if let Some(line) = self.heard.last().filter(|line| line.contains(part)) {
+                    self.output_lines.push(format!("{:.2} s: {line}", now().as_nanos() as f64 * 1e-9));
+                    if let Some(line) = self.output_lines.last().filter(|line| line.contains(part)) {
                         return Ok(line.clone());
                     }
                 }
                 // Without a command only Enter: somebody is there.
-                Err(RecvTimeoutError::Timeout) => self.say(word.unwrap_or_default())?,
+                Err(RecvTimeoutError::Timeout) => self.say(typed.unwrap_or_default())?,
                 Err(RecvTimeoutError::Disconnected) => break,
             }
         }
@@ -85,8 +85,8 @@ impl Running {
 
     /// The error that this line did not come; first shows the last lines.
     fn untold(&self, what: &str) -> Box<dyn Error> {
-        let last = self.heard.len().saturating_sub(LAST_LINES);
-        self.heard[last..].iter().for_each(|line| note(line));
+        let last = self.output_lines.len().saturating_sub(LAST_LINES);
+        self.output_lines[last..].iter().for_each(|line| note(line));
         format!("the program did not print `{what}` within {LONG:?}").into()
     }
 
@@ -99,7 +99,7 @@ impl Running {
     pub fn end(mut self) -> Result<ExitStatus, Box<dyn Error>> {
         loop {
             match self.lines.recv_timeout(LONG) {
-                Ok(line) => self.heard.push(line),
+                Ok(line) => self.output_lines.push(line),
                 Err(RecvTimeoutError::Disconnected) => return Ok(self.child.wait()?),
                 Err(RecvTimeoutError::Timeout) => return Err(self.untold("its end")),
             }

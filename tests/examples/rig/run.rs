@@ -32,7 +32,7 @@ const TURNED_MAX_DEG: f64 = 2.0;
 const TRACKED: Duration = Duration::from_millis(500);
 
 /// Anything that is to happen happens within this time of this slow computer.
-const PATIENCE: Duration = Duration::from_secs(40);
+const TIMEOUT: Duration = Duration::from_secs(40);
 
 /// Address of the panel.
 const PANEL: ([u8; 4], u16) = ([127, 0, 0, 1], 8087);
@@ -69,7 +69,7 @@ fn start(devices: Devices) -> Result<(World, Running, Client), Box<dyn Error>> {
     let mut run = Running::start(&["run", "--config", HERE, "--panel", &address.to_string(), "--out", "/out"])?;
     run.wait_for("is the operator panel", None)?;
     let mut person = Client::new(address);
-    person.patience = PATIENCE;
+    person.patience = TIMEOUT;
     person.wait_for("images", |state| state["images"]["sequence"].is_u64());
     person.take("script");
     person.keep_alive();
@@ -84,18 +84,18 @@ fn loopback_up() -> Result<(), Box<dyn Error>> {
 
 fn select(person: &Client) -> Outcome {
     let preview = person.post("preview", &json!({ "region": REGION }).to_string());
-    let told = preview.json();
-    ensure(preview.status == 200 && told["will_work"] == true, || format!("the preview is {}", preview.body))?;
+    let preview_json = preview.json();
+    ensure(preview.status == 200 && preview_json["will_work"] == true, || format!("the preview is {}", preview.body))?;
     command(person, "select", json!({ "region": REGION }))?;
     person.wait_for("a target that the hand can follow", |state| {
         state["state"]["name"] == "selecting" && state["state"]["is_ready"] == true
     });
-    Ok(format!("region {REGION} {}", told["why"].as_str().unwrap_or_default()).trim_end().to_owned())
+    Ok(format!("region {REGION} {}", preview_json["why"].as_str().unwrap_or_default()).trim_end().to_owned())
 }
 
 /// A command for the state as the script saw it; it must be accepted.
 fn command(person: &Client, name: &str, mut body: Value) -> Result<(), Box<dyn Error>> {
-    body["seen"] = person.seen();
+    body["seen"] = person.shown_state();
     let reply = person.post(name, &body.to_string());
     ensure(reply.status == 200, || format!("{name}: {}", reply.body))
 }

@@ -26,8 +26,8 @@ use crate::lines::far_end;
 use crate::setup::{Devices, HERE};
 
 /// Smaller motions are not rendered again: a hundredth of a pixel.
-const SEEN_M: f64 = 1e-5;
-const SEEN_RAD: f64 = 2e-5;
+const VISIBLE_M: f64 = 1e-5;
+const VISIBLE_RAD: f64 = 2e-5;
 
 /// Size of the rendered part of the images, around the target; the rest is background. Rendering whole images takes this
 /// computer longer than the frame period.
@@ -149,7 +149,7 @@ impl Painter {
             self.outputs.iter_mut().for_each(Output::wait);
             let now = self.clock.now();
             let poses = self.cell.poses_at(now);
-            if drawn.is_none_or(|drawn| is_seen(&drawn, &poses)) {
+            if drawn.is_none_or(|drawn| is_visible(&drawn, &poses)) {
                 let [left, right] = &mut images;
                 self.renderer.render_pair(&poses, 0, left, right);
                 for (image, (output, corner)) in images.iter().zip(self.places) {
@@ -181,10 +181,10 @@ fn windows(rig: &StereoRig) -> Result<StereoRig, Box<dyn Error>> {
 }
 
 /// Whether the difference is visible.
-fn is_seen(before: &ScenePoses, now: &ScenePoses) -> bool {
+fn is_visible(before: &ScenePoses, now: &ScenePoses) -> bool {
     fn differ<A: Frame, B: Frame>(before: &Pose<A, B>, now: &Pose<A, B>) -> bool {
         let motion = before.inverse() * *now;
-        motion.translation_m().norm() > SEEN_M || motion.rotation_angle_rad() > SEEN_RAD
+        motion.translation_m().norm() > VISIBLE_M || motion.rotation_angle_rad() > VISIBLE_RAD
     }
     differ(&before.world_from_cam_left, &now.world_from_cam_left)
         || differ(&before.world_from_target, &now.world_from_target)

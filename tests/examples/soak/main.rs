@@ -132,11 +132,11 @@ impl Options {
         Duration::from_secs_f64(self.minutes * 60.0)
     }
 
-    fn parse(mut words: impl Iterator<Item = String>) -> Result<Self> {
+    fn parse(mut args: impl Iterator<Item = String>) -> Result<Self> {
         let mut options = Self { minutes: 1.0, losses_only: false, seed: 1, page: None, origin: String::new() };
-        while let Some(word) = words.next() {
-            let value = words.next().with_context(|| format!("{word}: no value given"))?;
-            match word.as_str() {
+        while let Some(arg) = args.next() {
+            let value = args.next().with_context(|| format!("{arg}: no value given"))?;
+            match arg.as_str() {
                 "--minutes" => {
                     options.minutes = value.parse().with_context(|| format!("--minutes {value}: not a number"))?
                 }

@@ -8,7 +8,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use pb3dp_cell::cell::ArmSite;
 use pb3dp_cell::live::CONTROL_THREAD;
-use pb3dp_cell::parts::DrivenArm;
+use pb3dp_cell::parts::ArmControl;
 use pb3dp_estimation_core::rng::SplitMix64;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{ArmErrorKind, ArmState, Clock, JointCommand};
@@ -128,7 +128,7 @@ impl Rig {
         }
     }
 
-    fn arms(&mut self) -> [&mut Box<dyn DrivenArm>; 2] {
+    fn arms(&mut self) -> [&mut Box<dyn ArmControl>; 2] {
         self.wired.driven.each_mut()
     }
 

@@ -58,7 +58,7 @@ pub enum Invariant {
     /// The search for a lost target; metres, or m/s.
     Search,
     /// Standstill without the operator's command; rad/s, or radians of creep.
-    RestWithoutWord,
+    HoldWithoutCommand,
     /// A latch that was cleared without a reset; number of resets.
     LatchCleared,
     /// A joint that moves by itself; seconds.
@@ -88,7 +88,7 @@ impl Invariant {
         Self::RestWhileInhibited,
         Self::LateImages,
         Self::Search,
-        Self::RestWithoutWord,
+        Self::HoldWithoutCommand,
         Self::LatchCleared,
         Self::Disobedience,
         Self::ArmsApart,
@@ -111,7 +111,7 @@ impl Invariant {
             Self::RestWhileInhibited => "rest-while-inhibited",
             Self::LateImages => "late-images",
             Self::Search => "search",
-            Self::RestWithoutWord => "rest-without-word",
+            Self::HoldWithoutCommand => "rest-without-word",
             Self::LatchCleared => "latch-cleared",
             Self::Disobedience => "disobedience",
             Self::ArmsApart => "arms-apart",
@@ -221,14 +221,15 @@ impl Found {
     /// Adds a violation: the largest excess over the limit is the worst. NaN is worse than any number.
     fn push(&mut self, place: Place, (value, limit): (f64, f64), note: impl Into<String>) {
         let Place { invariant, arm, joint, t_s } = place;
-        let same = |seen: &&mut Violation| (seen.invariant, seen.arm, seen.joint) == (invariant, arm, joint);
+        let same =
+            |earlier: &&mut Violation| (earlier.invariant, earlier.arm, earlier.joint) == (invariant, arm, joint);
         // Two faults without a log line are two violations.
         match self.0.iter_mut().find(same).filter(|_| invariant != Invariant::Log) {
-            Some(seen) => {
-                seen.steps += 1;
+            Some(earlier) => {
+                earlier.steps += 1;
                 let worse = |beyond: f64, before: f64| beyond.is_nan() || beyond > before;
-                if worse((value - limit).abs(), (seen.value - seen.limit).abs()) {
-                    (seen.worst_s, seen.value, seen.limit, seen.note) = (t_s, value, limit, note.into());
+                if worse((value - limit).abs(), (earlier.value - earlier.limit).abs()) {
+                    (earlier.worst_s, earlier.value, earlier.limit, earlier.note) = (t_s, value, limit, note.into());
                 }
             }
             None => {
@@ -284,14 +285,15 @@ fn log(rules: &Rules, truth: &Truth, found: &mut Found) {
     let ended_s = truth.steps.last().map_or(0.0, |step| step.t_s);
     for fault in truth.injected.iter().filter(|fault| fault.had_effect) {
         let until_s = fault.until_s + rules.log_within_s;
-        let told = truth.log.iter().any(|line| {
+        let logged = truth.log.iter().any(|line| {
             let t_s = line.t_millis as f64 / 1e3;
-            (fault.from_s - 1e-3..=until_s).contains(&t_s) && fault.words.iter().any(|word| line.text.contains(word))
+            (fault.from_s - 1e-3..=until_s).contains(&t_s)
+                && fault.log_terms.iter().any(|term| line.text.contains(term))
         });
         // The log had no time to report what ended the run.
-        if !told && until_s <= ended_s {
+        if !logged && until_s <= ended_s {
             let place = Place { invariant: Invariant::Log, arm: None, joint: None, t_s: until_s };
-            let note = format!("{} since {:.3} s: no log line with {:?}", fault.name, fault.from_s, fault.words);
+            let note = format!("{} since {:.3} s: no log line with {:?}", fault.name, fault.from_s, fault.log_terms);
             found.push(place, (until_s - fault.from_s, rules.log_within_s), note);
         }
     }

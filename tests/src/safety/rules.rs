@@ -97,11 +97,11 @@ pub struct Rules {
     /// Its largest distance from the start of the search, metres.
     pub search_reach_m: f64,
     /// Within this time after the stop of one arm the other one gets the stop, seconds.
-    pub told_other_s: f64,
+    pub commanded_other_s: f64,
     /// A joint that moves by itself may be too fast for this time, seconds.
     pub too_fast_s: f64,
     /// And for this much longer while samples or commands may be lost or late, seconds.
-    pub unseen_s: f64,
+    pub unobserved_s: f64,
     /// The arm of a joint that moves by itself is latched within this time, seconds.
     pub disobedience_s: f64,
     /// Minimum distance of both arms, metres.
@@ -147,7 +147,7 @@ impl Rules {
     ///   runs request; a hand that is returned to its path is faster and farther by up to a third, or a fifth and 5 mm.
     /// * `too_fast_s`: five cycles. One until the first sample, one until the second sample confirms it, one by which
     ///   samples are old, one for the command to the brakes, and one of the record.
-    /// * `unseen_s`: a fault of the bus repeats up to 50 samples of 2 ms; a control loop that stands still is missed after 50 ms, and
+    /// * `unobserved_s`: a fault of the bus repeats up to 50 samples of 2 ms; a control loop that stands still is missed after 50 ms, and
     ///   brakes close in 50 ms.
     /// * `content_late_s`, `late_motion_s`: the requirement for a delay of 200 ms that the model does not know: held within 2 s of motion.
     ///   Smaller delays are noticed later, if the hand moves little.
@@ -187,9 +187,9 @@ impl Rules {
             pose_age_max_s: 0.310,
             search_m_per_s: 0.040,
             search_reach_m: 0.090,
-            told_other_s: 0.030,
+            commanded_other_s: 0.030,
             too_fast_s: 0.05,
-            unseen_s: 0.1,
+            unobserved_s: 0.1,
             disobedience_s: 2.0,
             arms_apart_m: 0.049,
             target: vec![Rod { ends_m: [[-0.05, 0.0, 0.0], [0.05, 0.0, 0.0]], radius_m: 0.05 }],

@@ -148,7 +148,7 @@ pub struct Injected {
     /// Whether it had an effect: an image was lost, a reply did not come, a joint moved by itself.
     pub had_effect: bool,
     /// A log line must contain at least one of these.
-    pub words: &'static [&'static str],
+    pub log_terms: &'static [&'static str],
 }
 
 /// A whole run.

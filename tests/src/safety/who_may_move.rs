@@ -52,7 +52,7 @@ use limits::{COMMAND_AGE_S, GO_AFTER_S, RESUME_AFTER_S};
 
 /// The operator's commands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Word {
+pub enum Command {
     /// Selects the target.
     Select,
     /// Begins the motion.
@@ -98,7 +98,7 @@ pub struct Moment {
     /// True time, seconds.
     pub true_s: f64,
     /// Last sign of life; none before the first one.
-    pub heard_s: Option<f64>,
+    pub heartbeat_s: Option<f64>,
     /// Time for which the drives of an arm have been disabled, seconds.
     pub disabled_s: f64,
 }
@@ -132,7 +132,7 @@ enum Inhibit {
 /// A command on its way.
 #[derive(Clone, Copy, Debug)]
 struct Given {
-    word: Word,
+    command: Command,
     given_s: f64,
     is_refused: bool,
 }
@@ -184,8 +184,8 @@ impl WhoMayMove {
     }
 
     /// The operator's command arrives at the control loop in this step.
-    pub fn said(&mut self, word: Word, given_s: f64) {
-        self.given = Some(Given { word, given_s, is_refused: false });
+    pub fn commanded(&mut self, command: Command, given_s: f64) {
+        self.given = Some(Given { command, given_s, is_refused: false });
     }
 
     /// The operator sees that the command of this step is refused.
@@ -219,8 +219,8 @@ impl WhoMayMove {
         self.conditions.look(moment);
         let given = self.given.take();
         let wanted = given.filter(|given| !given.is_refused);
-        if let Some(Given { word: word @ (Word::Hold | Word::HoldHand | Word::Stop), .. }) = wanted {
-            self.ends_motion(word, now_s);
+        if let Some(Given { command: command @ (Command::Hold | Command::HoldHand | Command::Stop), .. }) = wanted {
+            self.ends_motion(command, now_s);
         }
         self.withdraw(moment);
         if let Some(given) = given {
@@ -242,15 +242,15 @@ impl WhoMayMove {
         }
     }
 
-    fn ends_motion(&mut self, word: Word, now_s: f64) {
-        match (word, self.stage) {
+    fn ends_motion(&mut self, command: Command, now_s: f64) {
+        match (command, self.stage) {
             (_, Stage::Latched) => {}
-            (Word::Stop, _) => self.enter(Stage::Latched, now_s),
+            (Command::Stop, _) => self.enter(Stage::Latched, now_s),
             (_, Stage::Going) => self.enter(Stage::Held, now_s),
             _ => {}
         }
         self.since_s = now_s;
-        self.target_waits |= word == Word::Hold;
+        self.target_waits |= command == Command::Hold;
     }
 
     /// Conditions that need the operator.
@@ -265,34 +265,34 @@ impl WhoMayMove {
     }
 
     /// Commands that lead to motion.
-    fn leads_on(&mut self, Given { word, given_s, is_refused }: Given, now_s: f64) {
+    fn leads_on(&mut self, Given { command, given_s, is_refused }: Given, now_s: f64) {
         let age_s = now_s - given_s;
         let is_timely = age_s.abs() <= COMMAND_AGE_S + ROUNDING_S && given_s >= self.since_s - ROUNDING_S;
         // Of a reset that is refused because one arm cannot be reset, the other arm may take notice.
-        self.resets += u32::from(is_timely && word == Word::Reset && self.stage == Stage::Latched);
+        self.resets += u32::from(is_timely && command == Command::Reset && self.stage == Stage::Latched);
         if !is_timely || is_refused {
             return;
         }
         let may_go = self.conditions.is_clear_for(GO_AFTER_S);
-        match (word, self.stage) {
-            (Word::Reset, Stage::Latched) => {
+        match (command, self.stage) {
+            (Command::Reset, Stage::Latched) => {
                 self.enter(Stage::Idle, now_s);
                 self.target_waits |= self.has_person;
             }
             // The select of a moving hand is refused.
-            (Word::Select, Stage::Idle | Stage::Selected | Stage::Held | Stage::Going) => {
+            (Command::Select, Stage::Idle | Stage::Selected | Stage::Held | Stage::Going) => {
                 self.since_s = now_s;
                 self.enter(Stage::Selected, now_s);
                 self.conditions.select(now_s);
             }
             // `start` means the target that was followed when it was given.
-            (Word::Start, Stage::Selected) if may_go && given_s >= self.conditions.followed_since_s - ROUNDING_S => {
+            (Command::Start, Stage::Selected) if may_go && given_s >= self.conditions.followed_since_s - ROUNDING_S => {
                 self.conditions.started = self.conditions.followed;
                 self.go(now_s);
             }
-            (Word::Resume, Stage::Held) if may_go => self.go(now_s),
+            (Command::Resume, Stage::Held) if may_go => self.go(now_s),
             // The hand holds because of a condition that has gone, and need not wait.
-            (Word::Resume, Stage::Going) if may_go => {
+            (Command::Resume, Stage::Going) if may_go => {
                 self.inhibit = Inhibit::None;
                 self.target_waits = false;
             }

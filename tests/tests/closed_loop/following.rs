@@ -99,11 +99,15 @@ fn keeps_its_speeds(name: &str, arm: &ArmSetup, notes: &Notes) {
         let seconds = pair[1].at.seconds_since(pair[0].at);
         for joint in 0..DOF {
             let by_angle = (pair[1].position_rad[joint] - pair[0].position_rad[joint]) / seconds;
-            let told = pair[1].velocity_rad_per_s[joint];
+            let commanded = pair[1].velocity_rad_per_s[joint];
             // One count of the resolver in one control period is 0.8 mrad/s.
             assert!(by_angle.abs() < allowed[joint] + 2e-3, "{name}, joint {joint}: {by_angle} of {}", allowed[joint]);
-            assert!(told.abs() <= allowed[joint] + 1e-9, "{name}, joint {joint}: {told} of {}", allowed[joint]);
-            fastest = fastest.max(told.abs() / allowed[joint]);
+            assert!(
+                commanded.abs() <= allowed[joint] + 1e-9,
+                "{name}, joint {joint}: {commanded} of {}",
+                allowed[joint]
+            );
+            fastest = fastest.max(commanded.abs() / allowed[joint]);
         }
     }
     assert!(fastest > 0.4, "{name} moved: {fastest} of the limit");

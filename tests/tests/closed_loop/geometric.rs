@@ -65,14 +65,14 @@ fn without_noise_the_hand_comes_to_rest_where_it_should_be() {
 }
 
 #[test]
-fn what_the_lock_gets_wrong_is_constant_and_told() {
+fn the_error_of_the_lock_is_constant_and_reported() {
     let lock = PoseSigma { tilt_rad: 0.01, depth_m: 1e-3, ..PoseSigma::default() };
     let found = summary(&trusting(setup(GeometricConfig { lock, ..QUIET })));
-    let told = found.lock.unwrap();
-    assert!(told.hand_mm > 0.5 && told.hand_mm < 40.0, "{told:?}");
+    let lock_error = found.lock.unwrap();
+    assert!(lock_error.hand_mm > 0.5 && lock_error.hand_mm < 40.0, "{lock_error:?}");
     let (locked, whole) = (found.locked.hold_mm.unwrap(), found.tracking_position_mm.unwrap());
     assert!(locked.max < 0.3, "relative to the initial lock the hand is at its desired pose: {locked:?}");
-    assert!(whole.rms > 0.8 * told.hand_mm, "before the true plane it is not: {whole:?}, {told:?}");
+    assert!(whole.rms > 0.8 * lock_error.hand_mm, "before the true plane it is not: {whole:?}, {lock_error:?}");
 }
 
 #[test]
@@ -102,7 +102,7 @@ fn a_target_out_of_view_has_no_pose_and_the_hand_rests_until_it_is_back() {
     assert!(at_s(4.0, 7.0).all(|f| f.status == "ok"), "the same target, found again");
     let (hand_mm, _) = ways_mm(&log, 2.5, 3.9);
     assert!(hand_mm.norm() < 0.1, "the hand moves {hand_mm} without a visible target");
-    assert!(log.control.iter().any(|s| s.mode_word() == "lost" || s.mode_word() == "holding"));
+    assert!(log.control.iter().any(|s| s.mode_name() == "lost" || s.mode_name() == "holding"));
 }
 
 #[test]

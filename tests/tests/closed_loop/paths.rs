@@ -130,11 +130,11 @@ fn the_rigs_default_speed_is_refused_for_this_experiment_by_how_much() {
     }
     let Err(error) = wire(&setup) else { panic!("at a tenth of the speeds the arms cannot follow") };
     let text = format!("{error:#}");
-    let words: Vec<&str> = text.split_whitespace().collect();
-    let axis = words.iter().position(|word| *word == "axis").expect("the message names the axis");
-    assert!((1..=DOF).contains(&words[axis + 1].parse::<usize>().unwrap()), "{text}");
-    let ratio = words.iter().position(|word| *word == "times").expect("the message gives the ratio");
-    assert!(words[ratio - 1].parse::<f64>().unwrap() > 1.05, "{text}");
+    let terms: Vec<&str> = text.split_whitespace().collect();
+    let axis = terms.iter().position(|term| *term == "axis").expect("the message names the axis");
+    assert!((1..=DOF).contains(&terms[axis + 1].parse::<usize>().unwrap()), "{text}");
+    let ratio = terms.iter().position(|term| *term == "times").expect("the message gives the ratio");
+    assert!(terms[ratio - 1].parse::<f64>().unwrap() > 1.05, "{text}");
     assert!(text.contains("vs-robot") && text.contains("arms.speed_scale"), "{text}");
 }
 

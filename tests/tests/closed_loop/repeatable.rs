@@ -21,7 +21,7 @@ fn traces(setup: &Setup) -> (String, String) {
         frame.latency_millis = 0.0;
     }
     let dir = tempfile::tempdir().unwrap();
-    report::tell(dir.path(), setup, &Made::default(), &outcome, Ok(()), |_| Ok(())).unwrap();
+    report::write_report(dir.path(), setup, &Made::default(), &outcome, Ok(()), |_| Ok(())).unwrap();
     assert!(dir.path().join("report.html").exists() && dir.path().join("summary.json").exists());
     let series = std::fs::read_to_string(dir.path().join("timeseries.csv")).unwrap();
     assert_eq!(series.lines().count(), 1 + outcome.log.control.len());

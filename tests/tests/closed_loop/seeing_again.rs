@@ -7,7 +7,7 @@ use pb3dp_camera_sim::{SimCameraConfig, SimStereoCamera};
 use pb3dp_cell::experiment;
 use pb3dp_cell::log::RunLog;
 use pb3dp_cell::parts::Parts;
-use pb3dp_cell::perception::Sight;
+use pb3dp_cell::perception::VisionInput;
 use pb3dp_cell::supervision::Supervision;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_geometry::MonotonicTime;
@@ -160,7 +160,7 @@ fn swapped_for(other: SceneConfig) -> RunLog {
     let swapped = Swapped { cameras, clock: clock.clone(), at };
     let faults = card(vec![hidden(1.2, 2.3)]).world.as_ref().unwrap().faults.clone();
     let camera = pb3dp_camera_sim::FaultyCamera::new(swapped, faults, clock.now()).unwrap();
-    let parts = Parts { camera: Sight::Images(Box::new(camera)), ..parts };
+    let parts = Parts { camera: VisionInput::Images(Box::new(camera)), ..parts };
     experiment::run(&setup, parts, Some(3.7), None).unwrap().log
 }
 

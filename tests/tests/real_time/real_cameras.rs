@@ -144,9 +144,9 @@ fn swings() {
     let (setup, system) = rig();
     let parts = wire_with(&setup, Arc::new(system)).unwrap().parts;
     let swung = swing::run(&setup, parts, Excitation::new(3e-3, 6.0).unwrap()).unwrap();
-    assert!(swung.seen.len() > 40 && swung.joints.len() > 400, "{} seen", swung.seen.len());
+    assert!(swung.observed.len() > 40 && swung.joints.len() > 400, "{} seen", swung.observed.len());
     // Pose of the marked region: straight in front of the hand, at 500 mm, in images that never change.
-    let first = swung.seen[0].cam_left_from_model.translation_m();
+    let first = swung.observed[0].cam_left_from_model.translation_m();
     assert!((first.z - 0.5).abs() < 0.01 && (first.x - 0.05).abs() < 0.01, "{first}");
     let joint = |k: usize| swung.joints.iter().map(move |sample| sample.position_rad[k]);
     let way = (0..7).map(|k| joint(k).fold(f64::MIN, f64::max) - joint(k).fold(f64::MAX, f64::min)).fold(0.0, f64::max);
@@ -169,18 +169,20 @@ fn holds_rests_and_goes_on() {
     how.unwrap();
     let summary = summarize(&outcome.log, &outcome.plan);
     let steps: Vec<(&str, &str)> = summary.supervisor.transitions.iter().map(|step| (step.from, step.to)).collect();
-    let told = format!("{steps:?}, {:?}, {:?}", summary.frames_by_status, summary.supervisor.transitions);
+    let summary_text = format!("{steps:?}, {:?}, {:?}", summary.frames_by_status, summary.supervisor.transitions);
     let moving = |state: &str| ["approaching", "tracking"].contains(&state);
-    let rests =
-        steps.iter().position(|(from, to)| moving(from) && *to == "holding").unwrap_or_else(|| panic!("{told}"));
-    assert!(summary.supervisor.transitions[rests].why.contains("frame pair"), "{told}");
-    assert!(steps[rests..].iter().any(|(_, to)| moving(to)), "{told}");
-    assert!(summary.supervisor.steps_found["frame_stale"] > 50 && summary.pairs_lost >= 8, "{told}");
+    let rests = steps
+        .iter()
+        .position(|(from, to)| moving(from) && *to == "holding")
+        .unwrap_or_else(|| panic!("{summary_text}"));
+    assert!(summary.supervisor.transitions[rests].why.contains("frame pair"), "{summary_text}");
+    assert!(steps[rests..].iter().any(|(_, to)| moving(to)), "{summary_text}");
+    assert!(summary.supervisor.steps_found["frame_stale"] > 50 && summary.pairs_lost >= 8, "{summary_text}");
     // The hand is at its desired pose by its own images, which never change: neither the pose nor the calibration drifts.
     let (first, last) = (outcome.log.control.first().unwrap(), outcome.log.control.last().unwrap());
     let moved = (last.world_from_hand.translation_m() - first.world_from_hand.translation_m()).norm();
     assert!(moved < 0.02 && last.t_s > 8.5, "{moved} m in {} s", last.t_s);
-    assert!(summary.frames > 50 && summary.frames_without_pose < summary.frames / 4, "{told}");
+    assert!(summary.frames > 50 && summary.frames_without_pose < summary.frames / 4, "{summary_text}");
     // The cameras were checked every two seconds.
     assert_eq!(summary.drift.len(), 4, "{:?}", summary.drift);
     assert!(summary.drift.iter().all(|one| one.looks + one.blind_looks >= 2), "{:?}", summary.drift);

@@ -11,13 +11,13 @@ use anyhow::{Result, bail};
 use pb3dp_allocation_count::requests;
 use pb3dp_cell::capturing::Captured;
 use pb3dp_cell::cycles::Punctuality;
-use pb3dp_cell::halves::{Capture, Course, Estimate, Mover, Record};
-use pb3dp_cell::looking::{Estimating, Looking};
-use pb3dp_cell::moving::{Moved, Moving};
-use pb3dp_cell::noting::PairEstimate;
+use pb3dp_cell::estimate_log::PairEstimate;
+use pb3dp_cell::halves::{Capture, Estimate, Mover, Record, RunContext};
+use pb3dp_cell::moving::{Moving, StepRecord};
 use pb3dp_cell::parts::Parts;
 use pb3dp_cell::percept::Percept;
 use pb3dp_cell::perception::View;
+use pb3dp_cell::vision::{Estimating, Vision};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
 use pb3dp_hal_clock::{SystemClock, VirtualClock};
@@ -108,7 +108,7 @@ impl Estimate<Step> for Part<'_> {
 }
 
 impl Record<Step, ()> for Part<'_> {
-    fn note(&mut self, _seen: ()) -> Result<()> {
+    fn note(&mut self, _observed: ()) -> Result<()> {
         (self.1.record)(self.0)?;
         count(&self.0.recorded);
         Ok(())
@@ -178,9 +178,11 @@ fn run(pace: Pace, script: Script) -> (Done, Option<Result<()>>, Punctuality) {
     };
     let setup = setup(pace);
     let mut arms = Arms { done: &done, script, is_on: false, newest: 0, requests: None, interrupt: &interrupt };
-    let course = Course { setup: &setup, clock: &clock, duration: Duration::from_secs(600), interrupt: &interrupt };
+    let run_context =
+        RunContext { setup: &setup, clock: &clock, duration: Duration::from_secs(600), interrupt: &interrupt };
     let [mut camera, mut method, mut recorder] = [Part(&done, script); 3];
-    let ended = catch_unwind(AssertUnwindSafe(|| course.run((&mut camera, &mut method, &mut recorder), &mut arms)));
+    let ended =
+        catch_unwind(AssertUnwindSafe(|| run_context.run((&mut camera, &mut method, &mut recorder), &mut arms)));
     assert!(!arms.is_on, "both arms are stopped, however a run ends");
     assert_eq!(of(&done.stops), 1);
     let (ended, punctuality) = ended.map_or((None, None), |(ended, punctuality)| (Some(ended), punctuality));
@@ -283,7 +285,7 @@ fn a_mistake_in_any_thread_stops_both_arms() {
 }
 
 #[test]
-fn a_failure_in_any_thread_stops_both_arms_and_is_told() {
+fn a_failure_in_any_thread_stops_both_arms_and_is_reported() {
     let fail: Action = |done| if of(&done.steps) >= 5 { bail!("the part is gone") } else { Ok(()) };
     let scripts = [
         Script { capture: fail, ..QUIET },
@@ -307,7 +309,7 @@ const ENOUGH: u64 = 40;
 
 /// What the recorder has been told of so far.
 #[derive(Default)]
-struct Seen {
+struct ThreadCounts {
     followed: AtomicU64,
     stale: AtomicU64,
     /// The hand has resumed after a hold.
@@ -315,20 +317,20 @@ struct Seen {
 }
 
 /// A method that once takes so long that the newest images become too old.
-struct SlowMethod<'w, 'a>(Estimating<'a>, &'w Seen);
+struct SlowMethod<'w, 'a>(Estimating<'a>, &'w ThreadCounts);
 
 struct Kept<'w> {
     /// Since the hand tracks.
-    moved: Vec<Moved>,
-    seen: &'w Seen,
+    moved: Vec<StepRecord>,
+    counts: &'w ThreadCounts,
     /// Ends the run.
     interrupt: &'w AtomicBool,
 }
 
-impl Estimate<Moved> for SlowMethod<'_, '_> {
+impl Estimate<StepRecord> for SlowMethod<'_, '_> {
     type Observed = PairEstimate;
 
-    fn moved(&mut self, step: &Moved) {
+    fn moved(&mut self, step: &StepRecord) {
         self.0.moved(step);
     }
 
@@ -338,24 +340,24 @@ impl Estimate<Moved> for SlowMethod<'_, '_> {
             assert!(begin.elapsed() < HELD_UP, "the hand does not hold");
             std::thread::sleep(Duration::from_millis(1));
         }
-        Estimate::<Moved>::look(&mut self.0, frame)
+        Estimate::<StepRecord>::look(&mut self.0, frame)
     }
 }
 
-impl Record<Moved, PairEstimate> for Kept<'_> {
-    fn moved(&mut self, step: &Moved) {
-        let has_followed = of(&self.seen.followed) >= ENOUGH;
-        let has_rested = of(&self.seen.stale) >= ENOUGH;
+impl Record<StepRecord, PairEstimate> for Kept<'_> {
+    fn moved(&mut self, step: &StepRecord) {
+        let has_followed = of(&self.counts.followed) >= ENOUGH;
+        let has_rested = of(&self.counts.stale) >= ENOUGH;
         if has_followed {
             self.moved.push(*step);
         }
         if is_stale(step) {
             // On a slow machine images may be too old before the method stalls.
             if has_followed {
-                count(&self.seen.stale);
+                count(&self.counts.stale);
             }
         } else if step.decision.state == State::Tracking {
-            let counter = if has_rested { &self.seen.resumed } else { &self.seen.followed };
+            let counter = if has_rested { &self.counts.resumed } else { &self.counts.followed };
             if count(counter) >= ENOUGH && has_rested {
                 self.interrupt.store(true, Ordering::SeqCst);
             }
@@ -363,7 +365,7 @@ impl Record<Moved, PairEstimate> for Kept<'_> {
     }
 }
 
-fn is_stale(step: &Moved) -> bool {
+fn is_stale(step: &StepRecord) -> bool {
     step.decision.found.contains(Condition::FrameStale)
 }
 
@@ -379,21 +381,21 @@ fn an_arm_rests_while_its_method_takes_too_long() {
         setup.experiment.steps_mut().unwrap().lead_in_s = 1.0;
         let Parts { clock, camera, vs, tc, cell, experiment, marking, interrupt, .. } = wire(&setup).unwrap();
         let now = clock.now();
-        let Looking { mut capturing, estimating } = Looking::new(&setup, (camera, cell, marking), &clock).unwrap();
+        let Vision { mut capturing, estimating } = Vision::new(&setup, (camera, cell, marking), &clock).unwrap();
         let mut moving = Moving::new(&setup, (vs, tc), &*experiment, now).unwrap();
-        let seen = Seen::default();
-        let mut slow = SlowMethod(estimating, &seen);
-        let mut kept = Kept { moved: Vec::new(), seen: &seen, interrupt: &interrupt };
+        let counts = ThreadCounts::default();
+        let mut slow = SlowMethod(estimating, &counts);
+        let mut kept = Kept { moved: Vec::new(), counts: &counts, interrupt: &interrupt };
         // The recorder ends the run long before.
-        let course = Course { setup: &setup, clock: &clock, duration: HELD_UP, interrupt: &interrupt };
-        course.run((&mut capturing, &mut slow, &mut kept), &mut moving).0.unwrap();
+        let run_context = RunContext { setup: &setup, clock: &clock, duration: HELD_UP, interrupt: &interrupt };
+        run_context.run((&mut capturing, &mut slow, &mut kept), &mut moving).0.unwrap();
         rests_while_stale(&kept);
     });
 }
 
-fn rests_while_stale(Kept { seen, moved, .. }: &Kept<'_>) {
+fn rests_while_stale(Kept { counts, moved, .. }: &Kept<'_>) {
     let why = moved.last().map(|step| &step.decision.why);
-    assert!(of(&seen.resumed) >= ENOUGH, "{why:?}");
+    assert!(of(&counts.resumed) >= ENOUGH, "{why:?}");
     let runs = moved.chunk_by(|a, b| is_stale(a) == is_stale(b)).filter(|run| is_stale(&run[0]));
     let stale = runs.max_by_key(|run| run.len()).unwrap();
     for step in stale {

@@ -13,12 +13,12 @@ fn an_arm_that_cannot_be_enabled_is_named() {
         (6.0, OperatorCommand::Select),
         (7.0, OperatorCommand::Start),
     ];
-    let seen = Scene { tc_enables_again_s: 5.5, ..scene(&more, &[]) }.run(9.0);
-    let told = |text: &str| seen.trouble.iter().position(|told| told.contains(text));
-    let failed = told("enabling failed: tc-robot: enable: ").unwrap_or_else(|| panic!("{:?}", seen.trouble));
-    assert!(seen.trouble[failed].ends_with("both arms are stopped; remove the cause, then use select"));
-    assert!(told("start refused: both arms: drives disabled") > Some(failed), "{:?}", seen.trouble);
-    assert_eq!(told("vs-robot: drives disabled"), None, "{:?}", seen.trouble);
-    seen.stops(3.0, 7.0);
-    seen.ends_following();
+    let run = Scene { tc_enables_again_s: 5.5, ..scene(&more, &[]) }.run(9.0);
+    let troubles = |text: &str| run.trouble.iter().position(|troubles| troubles.contains(text));
+    let failed = troubles("enabling failed: tc-robot: enable: ").unwrap_or_else(|| panic!("{:?}", run.trouble));
+    assert!(run.trouble[failed].ends_with("both arms are stopped; remove the cause, then use select"));
+    assert!(troubles("start refused: both arms: drives disabled") > Some(failed), "{:?}", run.trouble);
+    assert_eq!(troubles("vs-robot: drives disabled"), None, "{:?}", run.trouble);
+    run.stops(3.0, 7.0);
+    run.ends_following();
 }

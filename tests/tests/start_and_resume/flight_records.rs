@@ -15,8 +15,8 @@ fn a_fault_is_recorded_although_the_run_goes_on() {
         keeps.lock().unwrap().push((number, begin_s, seconds(clock.now()), format!("{failure:#}")));
     });
     let vs = Stoppable::new(parts.vs, &parts.clock, &[(3.0, 4.0)]);
-    let words = vec![BEGIN[0], BEGIN[1], (4.5, OperatorCommand::Reset), (6.0, OperatorCommand::Stop)];
-    let operator = Box::new(Person { words, silent: (0.0, 0.0), resets_late_s: 0.0, told: Arc::default() });
+    let commands = vec![BEGIN[0], BEGIN[1], (4.5, OperatorCommand::Reset), (6.0, OperatorCommand::Stop)];
+    let operator = Box::new(Person { commands, silent: (0.0, 0.0), resets_late_s: 0.0, troubles: Arc::default() });
     let parts = Parts { vs: Box::new(vs), operator, keep_flights, ..parts };
     let Ended { how, faults, .. } = conduct(&setup, parts, Some(12.0), None).unwrap();
     assert!(how.is_ok() && faults == 1, "{how:?} {faults}");

@@ -65,7 +65,7 @@ fn compare(package: &str, alone: &Features, all: &Features) -> Vec<Violation> {
     let none = BTreeSet::new();
     let differing = alone.iter().flat_map(|(name, sets)| sets.iter().map(move |features| (name, features)));
     let differing = differing.filter(|(name, features)| !all.get(*name).unwrap_or(&none).contains(*features));
-    let told = differing.map(|(name, features)| {
+    let differences = differing.map(|(name, features)| {
         let more = all.get(name).into_iter().flatten().next().into_iter().flatten();
         let missing: Vec<&str> = more.filter(|feature| !features.contains(*feature)).map(String::as_str).collect();
         let message = format!(
@@ -74,7 +74,7 @@ fn compare(package: &str, alone: &Features, all: &Features) -> Vec<Violation> {
         );
         Violation::of(FILE, "features", message)
     });
-    told.collect()
+    differences.collect()
 }
 
 #[cfg(test)]

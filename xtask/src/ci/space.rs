@@ -35,13 +35,14 @@ pub fn check(workspace: &Workspace) -> anyhow::Result<()> {
 
 fn free_gib(workspace: &Workspace, folder: &Path) -> anyhow::Result<f64> {
     let shown = folder.display().to_string();
-    let said = workspace.output_of("df", &["-Pk", &shown]).with_context(|| format!("`df -Pk {shown}` fails"))?;
-    available_gib(&said).with_context(|| format!("`df -Pk {shown}` says no number of free blocks: {said:?}"))
+    let output_text = workspace.output_of("df", &["-Pk", &shown]).with_context(|| format!("`df -Pk {shown}` fails"))?;
+    available_gib(&output_text)
+        .with_context(|| format!("`df -Pk {shown}` says no number of free blocks: {output_text:?}"))
 }
 
 /// The fourth column of the second line, in GiB.
-fn available_gib(said: &str) -> Option<f64> {
-    let kib: f64 = said.lines().nth(1)?.split_whitespace().nth(3)?.parse().ok()?;
+fn available_gib(output_text: &str) -> Option<f64> {
+    let kib: f64 = output_text.lines().nth(1)?.split_whitespace().nth(3)?.parse().ok()?;
     Some(kib / f64::from(1 << 20))
 }
 
@@ -51,9 +52,9 @@ mod tests {
 
     #[test]
     fn free_space_is_read_from_the_table_of_df() {
-        let said =
+        let output_text =
             "Filesystem 1024-blocks Used Available Capacity Mounted on\n/dev/vda 264165404 89128960 6501172 94% /\n";
-        assert_eq!(available_gib(said).map(|gib| (gib * 10.0).round()), Some(62.0));
+        assert_eq!(available_gib(output_text).map(|gib| (gib * 10.0).round()), Some(62.0));
         assert_eq!(available_gib("df: no such file"), None);
     }
 }

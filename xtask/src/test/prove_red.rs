@@ -79,10 +79,10 @@ struct Proof {
 
 impl Proof {
     fn expect(&mut self, expected: Colour, how: &str, program: &Path, required: &Required) -> anyhow::Result<()> {
-        let (seen, took_s) = self.run(program, required)?;
-        println!("{}, {how}: {seen:?} in {took_s:.1} s", required.patch);
-        if seen != expected {
-            self.wrong.push(format!("{} {how} is {seen:?}", required.test));
+        let (outcome, took_s) = self.run(program, required)?;
+        println!("{}, {how}: {outcome:?} in {took_s:.1} s", required.patch);
+        if outcome != expected {
+            self.wrong.push(format!("{} {how} is {outcome:?}", required.test));
         }
         Ok(())
     }

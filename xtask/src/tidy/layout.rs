@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn a_crate_without_a_word_about_itself_is_caught() {
+    fn a_crate_without_its_documentation_is_caught() {
         assert_eq!(crate_docs("crates/a/src/lib.rs", "pub mod b;").len(), 1);
         assert_eq!(crate_docs("crates/a/src/lib.rs", "//! Says what it is.\n"), []);
         assert_eq!(crate_docs("crates/a/src/b.rs", "pub fn f() {}"), []);

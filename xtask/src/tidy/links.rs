@@ -93,8 +93,8 @@ mod tests {
     #[test]
     fn a_link_to_a_file_that_no_release_contains_names_the_repository() {
         let by_repository = format!("[a]({REPOSITORY}crates/a/src/lib.rs)");
-        let said = format!("no release contains `crates/a/src/lib.rs`: link {REPOSITORY}crates/a/src/lib.rs");
-        assert_eq!(messages("docs/units.md", "[a](../crates/a/src/lib.rs)"), [said]);
+        let expected = format!("no release contains `crates/a/src/lib.rs`: link {REPOSITORY}crates/a/src/lib.rs");
+        assert_eq!(messages("docs/units.md", "[a](../crates/a/src/lib.rs)"), [expected]);
         assert_eq!(messages("docs/units.md", &by_repository), [""; 0]);
         assert_eq!(messages("crates/a/NOTES.md", "[a](src/lib.rs)"), [""; 0], "no page of a release");
         let dead = by_repository.replace("lib.rs", "main.rs");

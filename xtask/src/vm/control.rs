@@ -9,7 +9,7 @@ use anyhow::{Context, bail};
 use serde_json::{Map, Value, json};
 
 /// Timeout for QEMU: it answers at once, and takes two seconds for a device at most.
-const PATIENCE: Duration = Duration::from_secs(20);
+const TIMEOUT: Duration = Duration::from_secs(20);
 
 /// A connection to QEMU.
 pub struct Control {
@@ -21,8 +21,8 @@ impl Control {
     /// If QEMU does not run or does not send its greeting.
     pub fn connect(socket: &Path) -> anyhow::Result<Self> {
         let stream = UnixStream::connect(socket).context("cannot connect to QEMU")?;
-        stream.set_read_timeout(Some(PATIENCE))?;
-        stream.set_write_timeout(Some(PATIENCE))?;
+        stream.set_read_timeout(Some(TIMEOUT))?;
+        stream.set_write_timeout(Some(TIMEOUT))?;
         let mut control = Self { stream: BufReader::new(stream) };
         control.until(|message| message.get("QMP").is_some())?;
         control.command("qmp_capabilities", json!({}))?;
@@ -65,7 +65,7 @@ impl Control {
 
     /// Reads until a message matches; an error from QEMU ends it.
     fn until(&mut self, mut is_it: impl FnMut(&Value) -> bool) -> anyhow::Result<()> {
-        let end = Instant::now() + PATIENCE;
+        let end = Instant::now() + TIMEOUT;
         let mut line = String::new();
         loop {
             line.clear();

@@ -7,7 +7,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, ensure};
 use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
 use pb3dp_cell::halves::Mover;
-use pb3dp_cell::moving::{Moved, Moving};
+use pb3dp_cell::moving::{Moving, StepRecord};
 use pb3dp_cell::percept::Percept;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
@@ -56,7 +56,7 @@ pub struct Faulty<'a> {
 }
 
 impl Mover for Faulty<'_> {
-    type Step = Moved;
+    type Step = StepRecord;
 
     fn enable(&mut self) -> Result<bool> {
         let now = self.clock.now();
@@ -84,7 +84,7 @@ impl Mover for Faulty<'_> {
         self.inner.observe(percept, self.shown(now));
     }
 
-    fn step(&mut self, now: MonotonicTime) -> Result<Moved> {
+    fn step(&mut self, now: MonotonicTime) -> Result<StepRecord> {
         self.begin_and_end_faults(now, now.seconds_since(self.zero()))?;
         ensure!(!self.is_dead(), "the process of the host has died");
         let shown = self.shown(now);

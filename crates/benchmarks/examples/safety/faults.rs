@@ -272,7 +272,7 @@ impl Kind {
     }
 
     /// Words of which a log line must contain one, where the fault must not go unnoticed.
-    pub fn words(&self) -> &'static [&'static str] {
+    pub fn log_terms(&self) -> &'static [&'static str] {
         match self {
             Self::EmergencyStopOfBoth => &["emergency stop"],
             Self::Unplugged(_) | Self::Tampered(..) => &["the link is gone"],
@@ -292,16 +292,16 @@ impl Kind {
     /// Minimum duration of the fault, and the time after that in which both arms begin to stop for good, seconds. The
     /// time follows from the arm's report, from three exchanges without an answer, or from a watchdog of 50 ms.
     pub fn stops_after_s(&self) -> Option<(f64, f64)> {
-        const TOLD_S: f64 = 0.02;
+        const REPORTED_S: f64 = 0.02;
         const MISSED_S: f64 = 0.1;
         match self {
-            Self::EmergencyStopOfBoth => Some((0.0, TOLD_S)),
+            Self::EmergencyStopOfBoth => Some((0.0, REPORTED_S)),
             Self::GatewayRestart(_) | Self::HostDies => Some((0.0, MISSED_S)),
             Self::Overrun(by_s) if *by_s >= MISSED_S => Some((0.0, MISSED_S)),
             Self::Unplugged(_) | Self::Tampered(..) => Some((0.0, MISSED_S)),
             Self::Arm { name: "bus: silent" | "line: silent" | "line: gateway deaf", .. } => Some((MISSED_S, MISSED_S)),
-            Self::Arm { name: "arm: emergency stop" | "arm: limit switch", .. } => Some((0.0, TOLD_S)),
-            Self::Arm { name: "arm: servo alarm" | "arm: controller alarm", .. } => Some((0.0, TOLD_S)),
+            Self::Arm { name: "arm: emergency stop" | "arm: limit switch", .. } => Some((0.0, REPORTED_S)),
+            Self::Arm { name: "arm: servo alarm" | "arm: controller alarm", .. } => Some((0.0, REPORTED_S)),
             Self::Arm { name: "arm: power", .. } => Some((MISSED_S, MISSED_S)),
             // More than any joint moves between two samples, and more torque than any joint may carry.
             Self::Arm { name: "arm: encoder jumps", line, .. } if amount(line) >= 0.12 => Some((0.0, MISSED_S)),
@@ -397,7 +397,7 @@ impl Kind {
             Self::Arm { .. } | Self::Unplugged(_) | Self::EmergencyStopOfBoth => true,
             Self::GatewayRestart(_) | Self::HostDies | Self::Tampered(..) | Self::Chatter(_) => true,
             Self::Overrun(_) | Self::ClockJump(_) | Self::Silence => true,
-            Self::OperatorCommand(word, _) => *word == OperatorCommand::Stop,
+            Self::OperatorCommand(kind_name, _) => *kind_name == OperatorCommand::Stop,
             _ => false,
         }
     }
@@ -436,8 +436,8 @@ impl Kind {
 
 /// The value in the third word of a line, without unit and sign.
 fn amount(line: &str) -> f64 {
-    let word = line.split(' ').nth(2).unwrap_or("");
-    let number = word.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+    let kind_name = line.split(' ').nth(2).unwrap_or("");
+    let number = kind_name.trim_end_matches(|c: char| c.is_ascii_alphabetic());
     number.parse().map_or(0.0, f64::abs)
 }
 

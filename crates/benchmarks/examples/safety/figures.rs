@@ -95,8 +95,8 @@ impl Figures {
         for ((fault, became), state) in scenario.faults.iter().zip(&ran.became).zip(&ran.states) {
             let had_effect = matches!(became, Became::Borne | Became::Noticed);
             if let Some(state) = state.filter(|_| had_effect) {
-                let [seen, noticed] = self.states.entry(fault.name()).or_default().entry(state).or_default();
-                *seen += 1;
+                let [entered, noticed] = self.states.entry(fault.name()).or_default().entry(state).or_default();
+                *entered += 1;
                 *noticed += u64::from(*became == Became::Noticed);
             }
             let count = self.faults.entry(fault.name()).or_default();

@@ -17,10 +17,10 @@ pub fn scenarios() -> Result<Vec<Scenario>> {
 }
 
 fn scenario(line: &str) -> Result<Scenario> {
-    let mut words = line.split_whitespace();
-    let (draw, seed) = (words.next().unwrap_or(""), words.next().context("no seed")?);
+    let mut fields = line.split_whitespace();
+    let (draw, seed) = (fields.next().unwrap_or(""), fields.next().context("no seed")?);
     let seed = seed.parse().context("a seed is a whole number")?;
-    ensure!(words.next().is_some(), "say what this seed has found");
+    ensure!(fields.next().is_some(), "say what this seed has found");
     let draw = Draw::named(draw).context("the draw is `first`, `wide`, `stalls`, `starts` or `cells`")?;
     Ok(Scenario::of(draw, seed))
 }

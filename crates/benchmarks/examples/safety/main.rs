@@ -318,8 +318,8 @@ fn main() -> Result<ExitCode> {
 mod tests {
     use super::*;
 
-    fn read(words: &[&str]) -> Result<Args> {
-        Args::of(Options::try_parse_from(std::iter::once("safety").chain(words.iter().copied()))?)
+    fn read(arguments: &[&str]) -> Result<Args> {
+        Args::of(Options::try_parse_from(std::iter::once("safety").chain(arguments.iter().copied()))?)
     }
 
     #[test]

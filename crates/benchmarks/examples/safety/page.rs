@@ -87,8 +87,8 @@ fn states(figures: &Figures) -> String {
         let mut row = json!({"fault": fault});
         for state in &names {
             row[state] = count(state)
-                .map_or_else(String::new, |[seen, noticed]| {
-                    format!("{seen}, {:.0} %", 100.0 * *noticed as f64 / *seen as f64)
+                .map_or_else(String::new, |[entered, noticed]| {
+                    format!("{entered}, {:.0} %", 100.0 * *noticed as f64 / *entered as f64)
                 })
                 .into();
         }

@@ -12,13 +12,13 @@ use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
 use pb3dp_arm_pa10_gateway::gateway::Gateway;
 use pb3dp_arm_pa10_protocol::gateway_protocol::GatewayState;
 use pb3dp_cell::cell::SimulatedCell;
-use pb3dp_cell::moving::Moved;
+use pb3dp_cell::moving::StepRecord;
 use pb3dp_cell::percept::Percept;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_servo::supervisor::{Condition, Confidence, Event, OperatorCommand, State};
 use pb3dp_sim::joint_dynamics::{AxisMode, JointPlant};
 use system_tests::safety::truth::{ARM_NAMES, ArmTruth, HAND_ARM, Joints, LogLine, Placement, Step, TARGET_ARM, Truth};
-use system_tests::safety::who_may_move::{Moment, Pair, WhoMayMove, Word};
+use system_tests::safety::who_may_move::{Command, Moment, Pair, WhoMayMove};
 
 use self::hosts::permission_of;
 use crate::faults::{Fault, Kind};
@@ -95,7 +95,7 @@ pub struct Recorder {
     /// Times of the operator's resets, seconds.
     pub resets_s: Vec<f64>,
     /// Last sign of life of the operator, on the clock of the control loop.
-    heard_at: Option<MonotonicTime>,
+    heartbeat_at: Option<MonotonicTime>,
     /// State of the supervisor: for the status line, and to excuse a fault that came after a stop.
     state: State,
     says_why: bool,
@@ -150,7 +150,7 @@ impl Recorder {
             resets_before: 0,
             absent_s: None,
             resets_s: Vec::new(),
-            heard_at: None,
+            heartbeat_at: None,
             state: State::Idle,
             says_why: true,
             ends_at: None,
@@ -209,14 +209,14 @@ impl Recorder {
     pub fn began(&mut self, index: usize, now: MonotonicTime) {
         let about = self.scenario.faults[index].kind.arm();
         let is_on = |arm: usize| about.is_some_and(|about| about != arm) || self.truth_of(arm, now).servo_on;
-        let may_be_told =
+        let may_be_logged =
             self.latched_since.iter().all(Option::is_none) && !self.permission.is_latched() && !self.state.is_latched();
         // Only a moving arm misses the next command at once.
         let misses = !matches!(self.scenario.faults[index].kind, Kind::Overrun(_)) || self.state.is_moving();
         // Nobody knows the alarms of format A (docs/safety.md).
         let kind = &self.scenario.faults[index].kind;
         let is_known = self.scenario.workcell.settings.wire_format == "B" || !kind.is_alarm();
-        self.could_stop[index] = may_be_told && misses && is_known && is_on(HAND_ARM) && is_on(TARGET_ARM);
+        self.could_stop[index] = may_be_logged && misses && is_known && is_on(HAND_ARM) && is_on(TARGET_ARM);
         if self.begin.is_none() {
             self.counted_before = Some(self.count());
         }
@@ -340,7 +340,7 @@ impl Recorder {
     }
 
     /// Records a control step. Of the decision only a refusal, the report of a stall and the status line count.
-    pub fn moved(&mut self, step: &Moved, now: MonotonicTime) {
+    pub fn moved(&mut self, step: &StepRecord, now: MonotonicTime) {
         let decision = &step.decision;
         if decision.refused.is_some() {
             self.permission.refused();
@@ -356,7 +356,7 @@ impl Recorder {
         self.permission.stepped(&Moment {
             now_s: self.seconds(shown_at),
             true_s: self.seconds(true_at),
-            heard_s: self.heard_at.map(|heard| self.seconds(heard)),
+            heartbeat_s: self.heartbeat_at.map(|heartbeat| self.seconds(heartbeat)),
             disabled_s: disabled_since.map_or(0.0, |since| true_at.seconds_since(since)),
         });
         if was_latched && !self.permission.is_latched() {
@@ -383,15 +383,15 @@ impl Recorder {
     }
 
     /// The operator is present, at this time by the clock of the control loop.
-    pub fn heard(&mut self, shown: MonotonicTime) {
-        self.heard_at = Some(shown);
+    pub fn heartbeat(&mut self, shown: MonotonicTime) {
+        self.heartbeat_at = Some(shown);
     }
 
     /// The operator's command, given at this time by the clock of the control loop, arrives now.
-    pub fn told(&mut self, word: OperatorCommand, shown: MonotonicTime, now: MonotonicTime) {
-        self.note(now, format!("operator command: {}", word.name()));
-        self.permission.said(word_of(word), self.seconds(shown));
-        if word == OperatorCommand::Reset {
+    pub fn commanded(&mut self, command: OperatorCommand, shown: MonotonicTime, now: MonotonicTime) {
+        self.note(now, format!("operator command: {}", command.name()));
+        self.permission.commanded(command_of(command), self.seconds(shown));
+        if command == OperatorCommand::Reset {
             self.resets_s.push(self.t_s(now));
         }
     }
@@ -423,14 +423,14 @@ impl Recorder {
     /// Number of errors that links and gateways have counted.
     fn count(&self) -> u64 {
         let of_arm = |(end, monitor): (&Option<VirtualEnd>, &Option<ArmMonitor>)| {
-            let seen = monitor.as_ref().map(ArmMonitor::snapshot);
+            let snapshot = monitor.as_ref().map(ArmMonitor::snapshot);
             let bus = end.as_ref().and_then(|end| end.look(|far| far.gateway.as_ref().map(Gateway::status)));
             let of_bus = bus.map_or(0, |status| {
                 let bus = status.bus;
                 status.host_lost + status.host_stale + bus.lost + bus.late + bus.mismatched
             });
-            let of_link = seen.map_or(0, |seen| {
-                let (link, line) = (&seen.counters, &seen.line);
+            let of_link = snapshot.map_or(0, |snapshot| {
+                let (link, line) = (&snapshot.counters, &snapshot.line);
                 let of_line = line.crc_errors + line.header_errors + line.resyncs;
                 link.lost + link.late + link.damaged + link.mismatched + of_line
             });
@@ -556,16 +556,16 @@ impl Recorder {
 }
 
 /// The command as the model knows it.
-fn word_of(word: OperatorCommand) -> Word {
-    match word {
-        OperatorCommand::Select => Word::Select,
-        OperatorCommand::Start => Word::Start,
-        OperatorCommand::Hold => Word::Hold,
-        OperatorCommand::HoldHand => Word::HoldHand,
-        OperatorCommand::Resume => Word::Resume,
-        OperatorCommand::Realign => Word::Realign,
-        OperatorCommand::Stop => Word::Stop,
-        OperatorCommand::Reset => Word::Reset,
+fn command_of(command: OperatorCommand) -> Command {
+    match command {
+        OperatorCommand::Select => Command::Select,
+        OperatorCommand::Start => Command::Start,
+        OperatorCommand::Hold => Command::Hold,
+        OperatorCommand::HoldHand => Command::HoldHand,
+        OperatorCommand::Resume => Command::Resume,
+        OperatorCommand::Realign => Command::Realign,
+        OperatorCommand::Stop => Command::Stop,
+        OperatorCommand::Reset => Command::Reset,
     }
 }
 

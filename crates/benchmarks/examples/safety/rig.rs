@@ -9,14 +9,14 @@ use anyhow::Result;
 use nalgebra::{Matrix6, Vector3, Vector6};
 use pb3dp_cell::capturing::{Captured, Capturing};
 use pb3dp_cell::cell::{FreeTarget, SimulatedCell};
-use pb3dp_cell::halves::{Capture, Course, Estimate, Record};
+use pb3dp_cell::estimate_log::PairEstimate;
+use pb3dp_cell::halves::{Capture, Estimate, Record, RunContext};
 use pb3dp_cell::journal::Journal;
-use pb3dp_cell::looking::{Estimating, Looking};
-use pb3dp_cell::moving::{Moved, Moving};
-use pb3dp_cell::noting::PairEstimate;
+use pb3dp_cell::moving::{Moving, StepRecord};
 use pb3dp_cell::operator::Operator;
 use pb3dp_cell::parts::Parts;
 use pb3dp_cell::percept::Percept;
+use pb3dp_cell::vision::{Estimating, Vision};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
 use pb3dp_servo::supervisor::Confidence;
@@ -163,7 +163,7 @@ struct Host<'a> {
     setup: &'a Setup,
     interrupt: Arc<AtomicBool>,
     camera: Camera<'a>,
-    watching: Watching<'a>,
+    vision_watcher: VisionWatcher<'a>,
     writing: Writing<'a>,
     faulty: Faulty<'a>,
 }
@@ -178,7 +178,7 @@ impl<'a> Host<'a> {
         let Stage { scenario, clock, recorder, log, world, .. } = stage;
         let now = clock.now();
         let sees = (parts.camera, parts.cell.clone(), parts.marking);
-        let Looking { capturing, estimating } = Looking::new(setup, sees, &parts.clock)?;
+        let Vision { capturing, estimating } = Vision::new(setup, sees, &parts.clock)?;
         let operator: Box<dyn Operator> = match scenario.has_person {
             true => Box::new(Speaker::new(scenario, Arc::clone(clock), (Arc::clone(recorder), log.clone()))),
             false => Box::new(Overheard::new(scenario, Arc::clone(clock), Arc::clone(recorder))),
@@ -192,7 +192,7 @@ impl<'a> Host<'a> {
             zero: happening.zero.unwrap_or(now + Duration::from_secs_f64(cameras::LEAD_S)),
         };
         let camera = Camera { capturing, clock: Arc::clone(clock), faults: noticing.clone() };
-        let watching = Watching {
+        let vision_watcher = VisionWatcher {
             estimating,
             scenario,
             clock: Arc::clone(clock),
@@ -228,7 +228,7 @@ impl<'a> Host<'a> {
             wired: now,
             happening,
         };
-        Ok(Self { setup, interrupt, camera, watching, writing, faulty })
+        Ok(Self { setup, interrupt, camera, vision_watcher, writing, faulty })
     }
 
     /// Runs the program; returns why it ended early.
@@ -236,10 +236,10 @@ impl<'a> Host<'a> {
         let Stage { scenario, clock, recorder, log, .. } = stage;
         let left_s = scenario.run_s - lock(recorder).t_s(clock.now());
         let duration = Duration::from_secs_f64(left_s.max(0.0));
-        let course = Course { setup: self.setup, clock, duration, interrupt: &self.interrupt };
+        let run_context = RunContext { setup: self.setup, clock, duration, interrupt: &self.interrupt };
         let outcome = tracing::subscriber::with_default(log.clone(), || {
-            let Self { camera, watching, writing, faulty, .. } = self;
-            let outcome = course.run_in_lockstep((camera, watching, writing), faulty);
+            let Self { camera, vision_watcher, writing, faulty, .. } = self;
+            let outcome = run_context.run_in_lockstep((camera, vision_watcher, writing), faulty);
             self.writing.write_all();
             outcome
         });
@@ -266,7 +266,7 @@ fn afterwards(stage: &Stage<'_>, (lead_s, log): (Option<f64>, Vec<LogLine>), end
     let (times, resets_s) = (recording.times(), std::mem::take(&mut recording.resets_s));
     let absent_s = recording.absent_s;
     let faults = Faults { faults: &scenario.faults, times: &times, resets_s: &resets_s, absent_s };
-    recording.truth.injected = faults.to_be_told(&recording.truth);
+    recording.truth.injected = faults.to_be_logged(&recording.truth);
     let became = effects::all(scenario, &times, &recording);
     let states = effects::states(&scenario.faults, &times, &recording.truth);
     let notes = std::mem::take(&mut recording.notes);
@@ -292,7 +292,7 @@ impl Capture for Camera<'_> {
 }
 
 /// The perception thread with its faults.
-struct Watching<'a> {
+struct VisionWatcher<'a> {
     estimating: Estimating<'a>,
     scenario: &'a Scenario,
     clock: Arc<dyn Clock>,
@@ -309,16 +309,16 @@ struct Watching<'a> {
     standing: Option<u64>,
 }
 
-impl Estimate<Moved> for Watching<'_> {
+impl Estimate<StepRecord> for VisionWatcher<'_> {
     type Observed = PairEstimate;
 
-    fn moved(&mut self, step: &Moved) {
+    fn moved(&mut self, step: &StepRecord) {
         self.estimating.moved(step);
     }
 
     fn look(&mut self, frame: Captured) -> Result<(Option<Percept>, PairEstimate)> {
-        let seen = self.estimating.look(frame)?;
-        let (percept, now) = (seen.percept(), self.clock.now());
+        let newest = self.estimating.look(frame)?;
+        let (percept, now) = (newest.percept(), self.clock.now());
         self.camera_faults.note(Some(&percept), now);
         let t_s = lock(&self.recorder).t_s(now);
         self.buffered.push_front(percept.observation);
@@ -340,7 +340,7 @@ impl Estimate<Moved> for Watching<'_> {
             let is_due = self.waiting.front().is_some_and(|(due, _)| *due <= now);
             changed = if is_due { self.waiting.pop_front().map(|(_, percept)| percept) } else { None };
         }
-        Ok((changed, seen))
+        Ok((changed, newest))
     }
 }
 
@@ -349,7 +349,7 @@ struct Writing<'a> {
     /// The part of the program that writes the log of a run.
     journal: Journal<'a>,
     /// Control steps that wait for it while it stands still.
-    unwritten: VecDeque<Moved>,
+    unwritten: VecDeque<StepRecord>,
     begin_cell: Box<dyn Fn(MonotonicTime)>,
     scenario: &'a Scenario,
     clock: Arc<dyn Clock>,
@@ -362,7 +362,7 @@ struct Writing<'a> {
     is_first: bool,
 }
 
-impl Record<Moved, PairEstimate> for Writing<'_> {
+impl Record<StepRecord, PairEstimate> for Writing<'_> {
     fn begin_at(&mut self, begin: MonotonicTime) {
         (self.begin_cell)(begin);
         self.journal.begin_at(begin);
@@ -375,7 +375,7 @@ impl Record<Moved, PairEstimate> for Writing<'_> {
         }
     }
 
-    fn moved(&mut self, step: &Moved) {
+    fn moved(&mut self, step: &StepRecord) {
         self.unwritten.push_back(*step);
         self.write_unless_stalled();
         lock(&self.recorder).moved(step, self.clock.now());
@@ -412,9 +412,9 @@ struct CameraFaults<'a> {
 
 impl CameraFaults<'_> {
     /// Records the effect of camera faults on the frame pair that is due now.
-    fn note(&self, seen: Option<&Percept>, now: MonotonicTime) {
+    fn note(&self, newest: Option<&Percept>, now: MonotonicTime) {
         let t_s = lock(&self.recorder).t_s(now);
-        let is_spoiled = seen.is_none_or(|percept| percept.estimate.confidence != Confidence::Sure);
+        let is_spoiled = newest.is_none_or(|percept| percept.estimate.confidence != Confidence::Sure);
         for (index, fault) in self.scenario.faults.iter().enumerate().filter(|(_, fault)| fault.is_on(t_s)) {
             let Kind::Camera(kind) = fault.kind else { continue };
             let mut recorder = lock(&self.recorder);
@@ -422,9 +422,9 @@ impl CameraFaults<'_> {
                 recorder.touched(index);
             }
             // A frozen camera delivers no new image, whatever frame number it reports.
-            let exposed_s = seen.map(|percept| since_s(percept.frame.at, self.zero));
+            let exposed_s = newest.map(|percept| since_s(percept.frame.at, self.zero));
             if let (Some(percept), true, CameraFaultKind::Frozen) =
-                (seen, exposed_s.is_some_and(|exposed_s| fault.is_on(exposed_s)), kind)
+                (newest, exposed_s.is_some_and(|exposed_s| fault.is_on(exposed_s)), kind)
             {
                 recorder.spoiled(percept.frame.sequence);
             }
@@ -432,7 +432,7 @@ impl CameraFaults<'_> {
     }
 }
 
-impl Watching<'_> {
+impl VisionWatcher<'_> {
     /// Applies a fault to a percept; `None`: it is not delivered now.
     fn spoil(&mut self, kind: &Kind, mut percept: Percept, now: MonotonicTime) -> Option<Percept> {
         match *kind {
@@ -482,7 +482,7 @@ impl Watching<'_> {
                 let share = |i: usize| if i < 3 { factors[0] } else { factors[1] };
                 let scaled = |covariance: Matrix6<f64>| covariance.map_with_location(|i, j, c| c * share(i) * share(j));
                 percept.estimate.covariance = percept.estimate.covariance.map(scaled);
-                percept.observation.iter_mut().for_each(|seen| seen.covariance = seen.covariance.map(scaled));
+                percept.observation.iter_mut().for_each(|newest| newest.covariance = newest.covariance.map(scaled));
             }
             _ => self.hit = false,
         }

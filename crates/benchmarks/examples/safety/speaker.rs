@@ -24,10 +24,10 @@ pub struct Speaker {
     log: ProgramLog,
     dice: Dice,
     /// Which commands of the scenario were given.
-    said: Vec<bool>,
+    request: Vec<bool>,
     /// State for which the next command is meant, and its time.
     next: Option<(State, MonotonicTime)>,
-    heard_at: Option<MonotonicTime>,
+    heartbeat_at: Option<MonotonicTime>,
     /// The command of this step is a reset.
     resets: bool,
 }
@@ -39,26 +39,26 @@ impl Speaker {
         Self {
             log,
             // A new host gets no command that was given to the one before.
-            said: scenario.faults.iter().map(|fault| fault.from_s < from_s).collect(),
+            request: scenario.faults.iter().map(|fault| fault.from_s < from_s).collect(),
             dice: Dice::new(scenario.seed ^ 0x5eed),
             scenario: scenario.clone(),
             clock,
             recorder,
             next: None,
-            heard_at: None,
+            heartbeat_at: None,
             resets: false,
         }
     }
 
     /// A command of the scenario that is due, and how long ago it was given, seconds.
     fn of_scenario(&mut self, t_s: f64) -> Option<(OperatorCommand, f64)> {
-        for (index, (fault, said)) in self.scenario.faults.iter().zip(&mut self.said).enumerate() {
-            if let (Kind::OperatorCommand(word, late_s), false) = (&fault.kind, *said)
+        for (index, (fault, request)) in self.scenario.faults.iter().zip(&mut self.request).enumerate() {
+            if let (Kind::OperatorCommand(command, late_s), false) = (&fault.kind, *request)
                 && t_s >= fault.from_s
             {
-                *said = true;
+                *request = true;
                 lock(&self.recorder).touched(index);
-                return Some((*word, *late_s));
+                return Some((*command, *late_s));
             }
         }
         None
@@ -93,7 +93,7 @@ impl Speaker {
     /// The same command, after the reaction time.
     fn by_itself(&mut self, last: Option<&Decision>, at: MonotonicTime) -> Option<OperatorCommand> {
         let Some(last) = last else { return Some(OperatorCommand::Select) };
-        let word = Self::leads_on(last)?;
+        let command = Self::leads_on(last)?;
         let due = match self.next {
             Some((state, due)) if state == last.state => due,
             _ => {
@@ -107,7 +107,7 @@ impl Speaker {
             return None;
         }
         self.next = None;
-        Some(word)
+        Some(command)
     }
 }
 
@@ -118,20 +118,20 @@ impl Operator for Speaker {
         let is_silent =
             self.scenario.faults.iter().any(|fault| matches!(fault.kind, Kind::Silence) && fault.is_on(t_s));
         if is_silent {
-            return OperatorInput { heard_at: self.heard_at, ..OperatorInput::default() };
+            return OperatorInput { heartbeat_at: self.heartbeat_at, ..OperatorInput::default() };
         }
-        self.heard_at = Some(now);
+        self.heartbeat_at = Some(now);
         let given = self.of_scenario(t_s).or_else(|| self.of_chatter(t_s));
-        let word = given.or_else(|| self.by_itself(last, at).map(|word| (word, 0.0)));
-        self.resets = word.is_some_and(|(word, _)| word == OperatorCommand::Reset);
+        let command = given.or_else(|| self.by_itself(last, at).map(|command| (command, 0.0)));
+        self.resets = command.is_some_and(|(command, _)| command == OperatorCommand::Reset);
         let mut recorder = lock(&self.recorder);
-        recorder.heard(now);
-        let said = word.map(|(word, late_s)| {
+        recorder.heartbeat(now);
+        let request = command.map(|(command, late_s)| {
             let late = Duration::from_secs_f64(late_s);
-            recorder.told(word, now - late, at);
-            OperatorRequest { word, at: now - late }
+            recorder.commanded(command, now - late, at);
+            OperatorRequest { command, at: now - late }
         });
-        OperatorInput { said, heard_at: self.heard_at, silent_after: None }
+        OperatorInput { request, heartbeat_at: self.heartbeat_at, silent_after: None }
     }
 
     fn show(&mut self, _decision: &Decision) {}
@@ -177,10 +177,10 @@ impl Operator for Overheard {
         let mut input = ByCommand.listen(last, now);
         let mut recorder = lock(&self.recorder);
         let is_early = recorder.t_s(self.clock.now()) < self.starts_at_s;
-        input.said = input.said.filter(|said| said.word != OperatorCommand::Start || !is_early);
-        recorder.heard(now);
-        if let Some(said) = input.said {
-            recorder.told(said.word, said.at, self.clock.now());
+        input.request = input.request.filter(|request| request.command != OperatorCommand::Start || !is_early);
+        recorder.heartbeat(now);
+        if let Some(request) = input.request {
+            recorder.commanded(request.command, request.at, self.clock.now());
         }
         input
     }

@@ -48,16 +48,16 @@ pub struct Faults<'a> {
 
 impl Faults<'_> {
     /// The faults that the log must report.
-    pub fn to_be_told(&self, truth: &Truth) -> Vec<Injected> {
-        let told = (0..self.faults.len()).filter_map(|index| self.one(index, truth));
+    pub fn to_be_logged(&self, truth: &Truth) -> Vec<Injected> {
+        let logged = (0..self.faults.len()).filter_map(|index| self.one(index, truth));
         let ended_s = truth.steps.last().map_or(0.0, |step| step.t_s);
-        told.map(|injected| Injected { until_s: injected.until_s.min(ended_s), ..injected }).collect()
+        logged.map(|injected| Injected { until_s: injected.until_s.min(ended_s), ..injected }).collect()
     }
 
     fn one(&self, index: usize, truth: &Truth) -> Option<Injected> {
         let (kind, times) = (&self.faults[index].kind, self.times[index]);
-        let words = kind.words();
-        let began_s = times.from_s.filter(|_| times.could_stop && !words.is_empty())?;
+        let log_terms = kind.log_terms();
+        let began_s = times.from_s.filter(|_| times.could_stop && !log_terms.is_empty())?;
         let known_s = self.known_s(index, began_s)?;
         // An arm that another cause has stopped is not stopped again: a reset reports the conditions that remain.
         // What latched at the time of the fault may be the fault itself; during a late control step the record of a fault begins
@@ -65,10 +65,10 @@ impl Faults<'_> {
         let stopped_before_s = if known_s > began_s { known_s + NEAR_S } else { began_s - NEAR_S };
         let was_stopped = latched(truth, known_s, stopped_before_s);
         let until_s = if was_stopped || self.is_one_of_several(index, known_s, truth) {
-            let is_told_of = |&reset_s: &f64| {
+            let reports = |&reset_s: &f64| {
                 reset_s > known_s && self.known_s(index, reset_s).is_some_and(|at_s| at_s <= reset_s + NEAR_S)
             };
-            self.resets_s.iter().copied().find(is_told_of)? + RESET_S
+            self.resets_s.iter().copied().find(reports)? + RESET_S
         } else {
             known_s
         };
@@ -78,7 +78,7 @@ impl Faults<'_> {
         }
         // A latched fault is reported at once, however long its cause lasts.
         let name = self.faults[index].name().to_owned();
-        Some(Injected { name, from_s: known_s, until_s, had_effect: true, words })
+        Some(Injected { name, from_s: known_s, until_s, had_effect: true, log_terms })
     }
 
     /// The log is written as soon as the recorder goes on: this time, or the end of a stall in between.
@@ -122,12 +122,12 @@ impl Faults<'_> {
         let is_there = others
             .filter(|(_, (other, _))| other.kind.may_stop())
             .any(|(_, (_, times))| times.overlaps(at_s - LATE_S, at_s + KNOWN_S));
-        let is_told = truth.log.iter().any(|line| {
+        let is_logged = truth.log.iter().any(|line| {
             let t_s = line.t_millis as f64 * 1e-3;
             (at_s - NEAR_S..=at_s + KNOWN_S + STOPPED_S).contains(&t_s)
                 && ARM_NAMES.iter().any(|name| line.text.contains(name))
         });
-        is_there && is_told
+        is_there && is_logged
     }
 }
 
@@ -181,18 +181,18 @@ mod tests {
 
     const OTHER_CAUSE: &str = "vs-robot: fault: the gateway stopped the arm";
 
-    fn told(faults: &[Fault], times: &[Happened], resets_s: &[f64]) -> Vec<(f64, f64)> {
-        let found = Faults { faults, times, resets_s, absent_s: None }.to_be_told(&truth(OTHER_CAUSE));
+    fn logged(faults: &[Fault], times: &[Happened], resets_s: &[f64]) -> Vec<(f64, f64)> {
+        let found = Faults { faults, times, resets_s, absent_s: None }.to_be_logged(&truth(OTHER_CAUSE));
         found.iter().map(|injected| (injected.from_s, injected.until_s)).collect()
     }
 
     #[test]
-    fn what_can_be_known_is_told_at_once() {
-        assert_eq!(told(&[switch()], &[from_to(2.0, 3.0)], &[5.0]), [(2.0, 2.0)]);
+    fn detectable_faults_are_reported_at_once() {
+        assert_eq!(logged(&[switch()], &[from_to(2.0, 3.0)], &[5.0]), [(2.0, 2.0)]);
         let never = Happened::default();
-        assert!(told(&[switch()], &[never], &[]).is_empty());
+        assert!(logged(&[switch()], &[never], &[]).is_empty());
         let late = Happened { could_stop: false, ..from_to(2.0, 3.0) };
-        assert!(told(&[switch()], &[late], &[]).is_empty());
+        assert!(logged(&[switch()], &[late], &[]).is_empty());
     }
 
     #[test]
@@ -202,63 +202,63 @@ mod tests {
 
     #[test]
     fn a_process_that_has_died_tells_nothing() {
-        let told = |absent_s| {
+        let logged = |absent_s| {
             let (faults, times) = ([switch()], [from_to(2.0, 3.0)]);
             let faults = Faults { faults: &faults, times: &times, resets_s: &[], absent_s: Some(absent_s) };
-            faults.to_be_told(&truth(OTHER_CAUSE)).len()
+            faults.to_be_logged(&truth(OTHER_CAUSE)).len()
         };
-        assert_eq!((told((2.5, f64::INFINITY)), told((1.0, 2.5))), (0, 0));
-        assert_eq!((told((3.5, f64::INFINITY)), told((0.5, 1.5))), (1, 1));
+        assert_eq!((logged((2.5, f64::INFINITY)), logged((1.0, 2.5))), (0, 0));
+        assert_eq!((logged((3.5, f64::INFINITY)), logged((0.5, 1.5))), (1, 1));
     }
 
     #[test]
     fn a_recorder_that_stands_still_writes_later() {
         let stalls = Fault::new(Kind::RecorderStalls, 0.0, 0.0);
-        let until_s = told(&[switch(), stalls], &[from_to(2.0, 3.0), from_to(2.5, 5.0)], &[])[0].1;
+        let until_s = logged(&[switch(), stalls], &[from_to(2.0, 3.0), from_to(2.5, 5.0)], &[])[0].1;
         assert_eq!(until_s, 5.0);
     }
 
     #[test]
     fn what_follows_within_a_late_control_step_stops_nothing_again() {
         // Latched since 2.01 s.
-        assert_eq!(told(&[switch()], &[from_to(2.01, 3.0)], &[]), [(2.01, 2.01)]);
-        assert!(told(&[switch()], &[from_to(2.02, 3.0)], &[]).is_empty());
-        assert!(told(&[switch()], &[from_to(2.02, 3.0)], &[5.0]).is_empty());
-        assert_eq!(told(&[switch()], &[from_to(2.02, 6.0)], &[5.0]), [(2.02, 5.6)]);
+        assert_eq!(logged(&[switch()], &[from_to(2.01, 3.0)], &[]), [(2.01, 2.01)]);
+        assert!(logged(&[switch()], &[from_to(2.02, 3.0)], &[]).is_empty());
+        assert!(logged(&[switch()], &[from_to(2.02, 3.0)], &[5.0]).is_empty());
+        assert_eq!(logged(&[switch()], &[from_to(2.02, 6.0)], &[5.0]), [(2.02, 5.6)]);
     }
 
     #[test]
-    fn a_switch_of_a_controller_without_power_is_told_to_who_resets() {
+    fn a_switch_of_a_controller_without_power_is_reported_at_the_reset() {
         let power = || arm(0, "arm: power", "power off", Some("power on"));
         let times = [from_to(2.0, 6.0), from_to(2.0, 4.0)];
         let faults = [switch(), power()];
-        let switch_of = |told: Vec<(f64, f64)>| told[..told.len() - 1].to_vec();
+        let switch_of = |logged: Vec<(f64, f64)>| logged[..logged.len() - 1].to_vec();
         // A reset reports the power, too: another fault was present at the same time.
-        assert_eq!(switch_of(told(&faults, &times, &[3.0, 5.0])), [(4.0, 5.6)]);
+        assert_eq!(switch_of(logged(&faults, &times, &[3.0, 5.0])), [(4.0, 5.6)]);
         // Not without power, and not after the switch has closed again.
-        assert!(switch_of(told(&faults, &times, &[3.0, 7.0])).is_empty());
+        assert!(switch_of(logged(&faults, &times, &[3.0, 7.0])).is_empty());
         // The switch closed before the power came back: it could never be detected.
         let times = [from_to(2.0, 3.5), from_to(2.0, 4.0)];
-        assert!(switch_of(told(&faults, &times, &[3.0, 4.5])).is_empty());
+        assert!(switch_of(logged(&faults, &times, &[3.0, 4.5])).is_empty());
         // The power of the other arm hides nothing.
         let other = arm(1, "arm: power", "power off", Some("power on"));
-        assert_eq!(told(&[switch(), other], &[from_to(1.0, 3.0), from_to(2.0, 4.0)], &[])[0], (1.0, 1.0));
+        assert_eq!(logged(&[switch(), other], &[from_to(1.0, 3.0), from_to(2.0, 4.0)], &[])[0], (1.0, 1.0));
     }
 
     #[test]
-    fn of_two_that_stop_the_arms_at_once_one_is_told_at_once_and_the_other_to_who_resets() {
+    fn of_two_simultaneous_stops_one_is_reported_at_once_and_the_other_at_the_reset() {
         let alarm = || arm(1, "arm: servo alarm", "alarm 6 0x05", None);
         let clock = || arm(0, "line: clock of the gateway", "line gateway-clock -0.6s", None);
         let times = [from_to(2.0, 2.1), from_to(2.0, 3.0)];
         // An alarm stays until it is reset, however long the fault was to last.
-        assert_eq!(told(&[alarm(), clock()], &times, &[5.0]), [(2.0, 5.6)]);
-        assert!(told(&[alarm(), clock()], &times, &[]).is_empty());
+        assert_eq!(logged(&[alarm(), clock()], &times, &[5.0]), [(2.0, 5.6)]);
+        assert!(logged(&[alarm(), clock()], &times, &[]).is_empty());
         // A fault that cannot stop an arm excuses nothing, nor one that ended long ago, nor an arm without a report.
         let blind = Fault::new(Kind::NoPose, 0.0, 0.0);
-        assert_eq!(told(&[alarm(), blind], &times, &[5.0]), [(2.0, 2.0)]);
-        assert_eq!(told(&[alarm(), clock()], &[times[0], from_to(1.0, 1.8)], &[5.0]), [(2.0, 2.0)]);
+        assert_eq!(logged(&[alarm(), blind], &times, &[5.0]), [(2.0, 2.0)]);
+        assert_eq!(logged(&[alarm(), clock()], &[times[0], from_to(1.0, 1.8)], &[5.0]), [(2.0, 2.0)]);
         let (faults, silent) = ([alarm(), clock()], truth("fault-found fault"));
-        let found = Faults { faults: &faults, times: &times, resets_s: &[5.0], absent_s: None }.to_be_told(&silent);
+        let found = Faults { faults: &faults, times: &times, resets_s: &[5.0], absent_s: None }.to_be_logged(&silent);
         assert_eq!((found[0].from_s, found[0].until_s), (2.0, 2.0));
     }
 }

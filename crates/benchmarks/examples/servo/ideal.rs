@@ -74,7 +74,7 @@ pub struct Ideal {
 }
 
 /// The desired motion of the hand, and its measurement.
-pub struct Seen<'a> {
+pub struct MeasuredTarget<'a> {
     /// The target's motion.
     pub target: &'a dyn Trajectory,
     /// Desired hand pose relative to the target.
@@ -87,7 +87,7 @@ pub struct Seen<'a> {
     pub frame_s: f64,
 }
 
-impl Seen<'_> {
+impl MeasuredTarget<'_> {
     /// The least error over these times (seconds, start and end); `None` if they are empty.
     pub fn ideal(&self, times_s: &[(f64, f64)]) -> Option<Ideal> {
         let times: Vec<f64> = times_s.iter().flat_map(|&(from, until)| steps(from, until)).collect();
@@ -172,18 +172,18 @@ mod tests {
         }
     }
 
-    fn seen(target: &dyn Trajectory, sigma_m: f64, delay_s: f64) -> Seen<'_> {
+    fn measured_target(target: &dyn Trajectory, sigma_m: f64, delay_s: f64) -> MeasuredTarget<'_> {
         let target_from_hand = Pose::from_translation(Vector3::new(0.0, 0.0, -0.5));
         let noise = HandNoise::new(sigma_m, 0.0, 0.0, 0.0, 0.0, 0.0);
-        Seen { target, target_from_hand, noise, delay_s, frame_s: 1.0 / 30.0 }
+        MeasuredTarget { target, target_from_hand, noise, delay_s, frame_s: 1.0 / 30.0 }
     }
 
     #[test]
     fn at_rest_the_mean_of_all_frames_is_best() {
         let rest = Along(|_| 0.1);
-        let found = seen(&rest, 2e-3, 0.1).ideal(&[(3.0, 5.0)]).unwrap();
+        let found = measured_target(&rest, 2e-3, 0.1).ideal(&[(3.0, 5.0)]).unwrap();
         assert!((found.mm - 2.0 / (TAPS as f64).sqrt()).abs() < 1e-4, "{found:?}");
-        assert_eq!(seen(&rest, 2e-3, 0.1).ideal(&[]), None);
+        assert_eq!(measured_target(&rest, 2e-3, 0.1).ideal(&[]), None);
     }
 
     /// A straight line of unknown slope through n points with noise, extrapolated: variance sigma^2 (1/n + (a - mean)^2 / sum (t -
@@ -192,7 +192,7 @@ mod tests {
     fn of_a_steady_motion_it_is_the_error_of_a_line_through_the_frames() {
         let line = Along(|t| 50.0 * t);
         let (sigma_m, delay_s) = (1e-3, 0.1);
-        let found = seen(&line, sigma_m, delay_s).ideal(&[(4.0, 6.0)]).unwrap();
+        let found = measured_target(&line, sigma_m, delay_s).ideal(&[(4.0, 6.0)]).unwrap();
         let n = TAPS as f64;
         let spread: f64 = (0..TAPS).map(|k| (k as f64 - (n - 1.0) / 2.0).powi(2)).sum();
         let variance =
@@ -206,8 +206,9 @@ mod tests {
         let motion = pb3dp_sim::trajectory::MotionConfig::Steps(StepExperimentConfig::default());
         let start = Pose::from_parts(Vector3::new(0.9, 0.1, 1.1), UnitQuaternion::from_euler_angles(0.4, -0.7, 1.2));
         let target = motion.begin_at(start).unwrap();
-        let error =
-            |sigma_m: f64, delay_s: f64| seen(&*target, sigma_m, delay_s).ideal(&[(3.0, 5.0), (8.0, 10.0)]).unwrap().mm;
+        let error = |sigma_m: f64, delay_s: f64| {
+            measured_target(&*target, sigma_m, delay_s).ideal(&[(3.0, 5.0), (8.0, 10.0)]).unwrap().mm
+        };
         let base = error(1e-3, 0.066);
         assert!(base > 0.1 && base < 2.0, "{base}");
         assert!(error(1e-3, 0.1) > 1.05 * base && error(2e-3, 0.066) > 1.2 * base);

@@ -22,7 +22,7 @@ const STILL_RAD_PER_S: f64 = 0.01;
 
 impl LimitUse {
     /// The use of the limits in these measurements of the arm with the cameras.
-    pub fn of(setup: &Setup, seen: &[JointState]) -> Self {
+    pub fn of(setup: &Setup, samples: &[JointState]) -> Self {
         let limits = &setup.rig.arms.vs.limits;
         let speeds = limits.velocity_max_rad_per_s();
         let mut most = Self { speed: (0.0, 1), acceleration: (0.0, 1), room_deg: (f64::INFINITY, 1), turns: 0 };
@@ -31,7 +31,7 @@ impl LimitUse {
                 *slot = (value, axis);
             }
         };
-        for (index, now) in seen.iter().enumerate() {
+        for (index, now) in samples.iter().enumerate() {
             for joint in 0..DOF {
                 let axis = joint + 1;
                 raise(&mut most.speed, now.velocity_rad_per_s[joint].abs() / speeds[joint], axis);
@@ -42,7 +42,7 @@ impl LimitUse {
                 if room_deg < most.room_deg.0 {
                     most.room_deg = (room_deg, axis);
                 }
-                let Some(before) = index.checked_sub(1).and_then(|before| seen.get(before)) else { continue };
+                let Some(before) = index.checked_sub(1).and_then(|before| samples.get(before)) else { continue };
                 let (was, is) = (before.velocity_rad_per_s[joint], now.velocity_rad_per_s[joint]);
                 let dt_s = now.at.seconds_since(before.at);
                 if dt_s > 0.0 {

@@ -13,7 +13,7 @@ use pb3dp_sim::trajectory::{Channel, MotionConfig};
 use pb3dp_wiring::wire;
 
 use crate::demands::{Demand, demands, shortest_step};
-use crate::ideal::{HandNoise, Ideal, Seen, hand_noise};
+use crate::ideal::{HandNoise, Ideal, MeasuredTarget, hand_noise};
 use crate::setups::{DELAYS_MILLIS, Fig7Case, TARGETS, Who, geometric, sinusoid, step};
 
 /// Time after a move by which the hand should have settled, seconds.
@@ -98,8 +98,9 @@ pub fn fig7_of(setup: &Setup, case: &Fig7Case, target_name: &str, stop_after_s: 
         (Some((noise, _)), Some(lock)) => {
             let target_from_hand = lock.target_from_model_found * setup.controller.model_from_hand_desired;
             let (delay_s, frame_s) = (case.delay_millis * 1e-3, setup.rig.frames.period.as_secs_f64());
-            let seen = Seen { target: &*target, target_from_hand, noise: *noise, delay_s, frame_s };
-            ideals(setup, &seen, summary.channels.len())
+            let measured_target =
+                MeasuredTarget { target: &*target, target_from_hand, noise: *noise, delay_s, frame_s };
+            ideals(setup, &measured_target, summary.channels.len())
         }
         _ => (IdealPhases::default(), vec![IdealPhases::default(); summary.channels.len()]),
     };
@@ -122,14 +123,16 @@ fn in_mm_and_degrees(noise: &HandNoise) -> [f64; 6] {
 }
 
 /// The ideal filter over the whole experiment, and over each channel that the run reached.
-fn ideals(setup: &Setup, seen: &Seen<'_>, channels: usize) -> (IdealPhases, Vec<IdealPhases>) {
+fn ideals(setup: &Setup, measured_target: &MeasuredTarget<'_>, channels: usize) -> (IdealPhases, Vec<IdealPhases>) {
     let Some(steps) = setup.experiment.steps() else { return (IdealPhases::default(), Vec::new()) };
-    let moves: Vec<f64> = seen.target.marks().iter().map(|mark| mark.at_s).take(2 * channels).collect();
+    let moves: Vec<f64> = measured_target.target.marks().iter().map(|mark| mark.at_s).take(2 * channels).collect();
     let moving: Vec<(f64, f64)> = moves.iter().map(|at_s| (*at_s, at_s + steps.move_s)).collect();
     let hold: Vec<(f64, f64)> =
         moves.iter().map(|at_s| (at_s + steps.move_s + SETTLE_S, at_s + steps.move_s + steps.hold_s)).collect();
-    let phases =
-        |moving: &[(f64, f64)], hold: &[(f64, f64)]| IdealPhases { moving: seen.ideal(moving), hold: seen.ideal(hold) };
+    let phases = |moving: &[(f64, f64)], hold: &[(f64, f64)]| IdealPhases {
+        moving: measured_target.ideal(moving),
+        hold: measured_target.ideal(hold),
+    };
     let of_channels = moving.chunks(2).zip(hold.chunks(2)).map(|(moving, hold)| phases(moving, hold)).collect();
     (phases(&moving, &hold), of_channels)
 }

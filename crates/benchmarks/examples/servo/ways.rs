@@ -7,7 +7,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_cell::experiment;
 use pb3dp_cell::figures::TrackingError;
 use pb3dp_cell::log::{ControlSample, RunLog};
-use pb3dp_cell::perception::Marking;
+use pb3dp_cell::perception::TargetSource;
 use pb3dp_geometry::frames::{Base, Flange, Hand, Model, Target, World};
 use pb3dp_geometry::{Pose, so3};
 use pb3dp_hal_middleware::StartPose;
@@ -26,7 +26,7 @@ pub const THERE_WITHIN: (f64, f64) = (1.0, 0.3);
 /// Duration of an approach, seconds.
 const APPROACH_S: f64 = 20.0;
 /// Distance up to which the target is visible, metres.
-pub const SEEN_UP_TO_M: f64 = 1.4;
+pub const MEASURED_UP_TO_M: f64 = 1.4;
 
 /// Result of an approach or path.
 pub struct Way {
@@ -81,7 +81,7 @@ pub fn place(setup: &mut Setup, start_rad: JointVector, world_from_hand: &Pose<W
         setup.rig.arms.tc.world_from_base * setup.rig.arms.tc.chain.forward(&setup.rig.arms.tc.start_rad);
     setup.rig.flange_from_target = world_from_flange.inverse() * world_from_target;
     if let Leader::Geometric(config) = &mut setup.leader {
-        config.z_max_m = SEEN_UP_TO_M;
+        config.z_max_m = MEASURED_UP_TO_M;
     }
 }
 
@@ -152,9 +152,9 @@ pub fn out_and_back(channel: Channel, translation_m: f64, move_s: f64) -> Motion
 /// Errors of the parts.
 pub fn run_way(name: impl Into<String>, setup: &Setup) -> Result<Way> {
     let (parts, vs, _) = watched(wire(setup)?);
-    let Marking::Outline(outline_m) = parts.marking.clone() else { bail!("the target is not simulated") };
+    let TargetSource::Outline(outline_m) = parts.marking.clone() else { bail!("the target is not simulated") };
     let log = experiment::run(setup, parts, None, None)?.log;
-    let seen = vs.measured.lock().unwrap_or_else(PoisonError::into_inner);
+    let measured_states = vs.measured.lock().unwrap_or_else(PoisonError::into_inner);
     let (first, last) = log.control.first().zip(log.control.last()).context("the run has no steps")?;
     let errors: Vec<TrackingError> = log.control.iter().map(TrackingError::of_locked).collect();
     let mm: Vec<f64> = errors.iter().map(|error| error.position_m * 1e3).collect();
@@ -179,7 +179,7 @@ pub fn run_way(name: impl Into<String>, setup: &Setup) -> Result<Way> {
             .map(|sample| sample.smallest_singular_value)
             .fold(f64::INFINITY, f64::min),
         held: held(&log),
-        used: LimitUse::of(setup, &seen),
+        used: LimitUse::of(setup, &measured_states),
         path: path_shape(setup, &log, &outline_m),
     })
 }
@@ -188,7 +188,7 @@ pub fn run_way(name: impl Into<String>, setup: &Setup) -> Result<Way> {
 fn held(log: &RunLog) -> (f64, Option<String>) {
     let locked_s = log.lock.map_or(0.0, |lock| lock.at_s + 0.3);
     let after: Vec<&ControlSample> = log.control.iter().filter(|sample| sample.t_s > locked_s).collect();
-    let rests = |sample: &&&ControlSample| !matches!(sample.mode_word(), "approaching" | "tracking");
+    let rests = |sample: &&&ControlSample| !matches!(sample.mode_name(), "approaching" | "tracking");
     let count = after.iter().filter(rests).count();
     (count as f64 / after.len().max(1) as f64, after.iter().find(rests).map(|sample| sample.mode.clone()))
 }
@@ -274,7 +274,7 @@ pub fn approach_from(
 pub fn geometric_at_rest(setup: Setup) -> Result<Setup> {
     let mut setup = geometric(setup, at_rest())?;
     if let Leader::Geometric(config) = &mut setup.leader {
-        config.z_max_m = SEEN_UP_TO_M;
+        config.z_max_m = MEASURED_UP_TO_M;
     }
     Ok(setup)
 }

@@ -6,11 +6,11 @@ use anyhow::{Context, Result, ensure};
 use nalgebra::Vector3;
 use pb3dp_allocation_count::held_bytes;
 use pb3dp_cell::cell::SimulatedCell;
-use pb3dp_cell::halves::{Course, Record};
-use pb3dp_cell::looking::Looking;
-use pb3dp_cell::moving::{Moved, Moving};
-use pb3dp_cell::noting::PairEstimate;
+use pb3dp_cell::estimate_log::PairEstimate;
+use pb3dp_cell::halves::{Record, RunContext};
+use pb3dp_cell::moving::{Moving, StepRecord};
 use pb3dp_cell::parts::Parts;
+use pb3dp_cell::vision::Vision;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_setup::setup::Setup;
 use pb3dp_sim::trajectory::Channel;
@@ -122,13 +122,14 @@ pub fn repeat(setup: &Setup, minutes: f64, tell: impl FnMut(&str)) -> Result<Fig
     (steps.move_s, steps.hold_s, steps.lead_in_s) = (MOVE_S, HOLD_S, LEAD_IN_S);
     let Parts { clock, camera, vs, tc, cell, experiment, marking, interrupt, .. } = wire(&setup)?;
     let now = clock.now();
-    let mut looking = Looking::new(&setup, (camera, cell.clone(), marking), &clock)?;
+    let mut vision = Vision::new(&setup, (camera, cell.clone(), marking), &clock)?;
     let mut moving = Moving::new(&setup, (vs, tc), &*experiment, now)?;
-    let mut watching = Watching { cell, begin: now, figures: Figures::of(cycles), at_end: AtEnd::default(), tell };
+    let mut vision_watcher =
+        VisionWatcher { cell, begin: now, figures: Figures::of(cycles), at_end: AtEnd::default(), tell };
     let duration = Duration::from_secs_f64(LEAD_IN_S + CYCLE_S * cycles as f64 + 0.1);
-    let course = Course { setup: &setup, clock: &clock, duration, interrupt: &interrupt };
-    course.run_in_lockstep((&mut looking.capturing, &mut looking.estimating, &mut watching), &mut moving)?;
-    Ok(watching.figures)
+    let run_context = RunContext { setup: &setup, clock: &clock, duration, interrupt: &interrupt };
+    run_context.run_in_lockstep((&mut vision.capturing, &mut vision.estimating, &mut vision_watcher), &mut moving)?;
+    Ok(vision_watcher.figures)
 }
 
 /// Collects the results at the end of a cycle.
@@ -140,7 +141,7 @@ struct AtEnd {
 }
 
 /// Observer that records only the hand position at the end of each cycle.
-struct Watching<T> {
+struct VisionWatcher<T> {
     cell: SimulatedCell,
     begin: MonotonicTime,
     figures: Figures,
@@ -148,13 +149,13 @@ struct Watching<T> {
     tell: T,
 }
 
-impl<T: FnMut(&str)> Record<Moved, PairEstimate> for Watching<T> {
+impl<T: FnMut(&str)> Record<StepRecord, PairEstimate> for VisionWatcher<T> {
     fn begin_at(&mut self, begin: MonotonicTime) {
         self.cell.begin_at(begin);
         self.begin = begin;
     }
 
-    fn moved(&mut self, moved: &Moved) {
+    fn moved(&mut self, moved: &StepRecord) {
         let in_cycle_s = moved.at.seconds_since(self.begin) - LEAD_IN_S - CYCLE_S * self.figures.cycles() as f64;
         // A hand that does not follow the target has not returned.
         if in_cycle_s < CYCLE_S - AVERAGED_S || !moved.decision.state.is_moving() {

@@ -113,7 +113,7 @@ impl BoundMaker {
     pub fn bound(
         &mut self,
         poses: &ScenePoses,
-        seen: &GroundTruth,
+        truth: &GroundTruth,
         plane: &Vector3<f64>,
         ray: &Vector3<f64>,
     ) -> Option<Matrix3<f64>> {
@@ -122,8 +122,8 @@ impl BoundMaker {
         }
         let map = PlaneMap { rig: &self.rig, plane: *plane };
         let mut samples: [Vec<Sample>; 3] = Default::default();
-        for index in inner_pixels(seen) {
-            let width = seen.size.width as usize;
+        for index in inner_pixels(truth) {
+            let width = truth.size.width as usize;
             let pixel = Vector2::new((index % width) as f64, (index / width) as f64);
             let Some(displacement) = map.left_displacement(&pixel) else { continue };
             for (channel, samples) in samples.iter_mut().enumerate() {
@@ -157,9 +157,9 @@ impl BoundMaker {
 }
 
 /// Indices of the pixels that show only the target, including blur.
-fn inner_pixels(seen: &GroundTruth) -> Vec<usize> {
-    let (width, height) = (seen.size.width as usize, seen.size.height as usize);
-    let is_target = |index: usize| seen.object[index] == SceneObject::Target;
+fn inner_pixels(truth: &GroundTruth) -> Vec<usize> {
+    let (width, height) = (truth.size.width as usize, truth.size.height as usize);
+    let is_target = |index: usize| truth.object[index] == SceneObject::Target;
     let is_inner = |index: usize| {
         let (column, row) = (index % width, index / width);
         let inside = |at: usize, size: usize| (RIM_PX..size - RIM_PX).contains(&at);
@@ -168,7 +168,7 @@ fn inner_pixels(seen: &GroundTruth) -> Vec<usize> {
             && (row - RIM_PX..=row + RIM_PX)
                 .all(|r| (column - RIM_PX..=column + RIM_PX).all(|c| is_target(r * width + c)))
     };
-    (0..seen.object.len()).filter(|&index| is_target(index) && is_inner(index)).collect()
+    (0..truth.object.len()).filter(|&index| is_target(index) && is_inner(index)).collect()
 }
 
 /// The map between the raw images that a plane induces.

@@ -118,7 +118,7 @@ fn best_fit(pair: &Rendered, rig: &StereoRig) -> Vector3<f64> {
     let mut response = [1.0, 0.0, 1.0, 0.0, 1.0, 0.0];
     for _ in 0..6 {
         let (mut matrix, mut side) = (SMatrix::<f64, 9, 9>::zeros(), SVector::<f64, 9>::zeros());
-        for index in inner_pixels(&pair.trial.seen) {
+        for index in inner_pixels(&pair.trial.ground_truth) {
             let (column, row) = ((index % 640) as u32, (index / 640) as u32);
             let ray = pinhole.normalized_from_pixel(&Vector2::new(f64::from(column), f64::from(row))).push(1.0);
             let u = f64::from(column) - focal_baseline * plane.dot(&ray);
@@ -147,13 +147,13 @@ fn a_fit_of_every_pixel_comes_near_the_bound_and_not_below() {
         let cell = Cell { setup, ..super::super::cells::all().remove(0) };
         let scene = super::super::scenes::SceneStore::default().scene(&setup).unwrap();
         let mut worker = Worker::new(&cell, &scene, 1, &[]).unwrap();
-        let rig = *worker.told_rig();
+        let rig = *worker.stated_rig();
         let mut maker = BoundMaker::new(&setup, &scene, &rig).unwrap();
         let (mut squares, poses) = ([0.0; 2], 12);
         for index in 0..poses {
             let pair = worker.render(index).unwrap();
             let ray = Vector3::new(0.1, 0.0, 1.0);
-            let bound = maker.bound(&pair.trial.poses, &pair.trial.seen, &pair.trial.plane, &ray).unwrap();
+            let bound = maker.bound(&pair.trial.poses, &pair.trial.ground_truth, &pair.trial.plane, &ray).unwrap();
             let errors = super::super::trial::plane_errors(&best_fit(&pair, &rig), &pair.trial.plane, &ray).unwrap();
             squares[0] += errors.z_m.powi(2) / bound[(0, 0)] / poses as f64;
             squares[1] += errors.tilt_rad.norm_squared() / (bound[(1, 1)] + bound[(2, 2)]) / poses as f64;
@@ -166,7 +166,7 @@ fn a_fit_of_every_pixel_comes_near_the_bound_and_not_below() {
 #[test]
 fn displacements_are_the_slopes_of_the_map() {
     for kind in [RigKind::Parallel { baseline_m: 0.06 }, RigKind::Unequal] {
-        let rig = rigs(&Setup { rig: kind, ..Setup::default() }).unwrap().told;
+        let rig = rigs(&Setup { rig: kind, ..Setup::default() }).unwrap().stated;
         let psi = PlaneHypothesis { z_m: 0.52, theta_x_rad: 0.3, theta_y_rad: -0.25 };
         let plane = psi.inverse_depth_plane(&Vector3::new(0.1, 0.0, 1.0)).unwrap();
         let in_right = |pixel: &Vector2<f64>, plane: &Vector3<f64>| {
@@ -206,7 +206,7 @@ fn the_bound_grows_with_noise_and_falls_with_the_baseline() {
     let mut scenes = super::super::scenes::SceneStore::default();
     let mut sigma_mm = |baseline_m: f64, noise_grey: f64| {
         let setup = Setup { rig: RigKind::Parallel { baseline_m }, noise_grey, ..Setup::default() };
-        let rig = rigs(&setup).unwrap().told;
+        let rig = rigs(&setup).unwrap().stated;
         let mut maker = BoundMaker::new(&setup, &scenes.scene(&setup).unwrap(), &rig).unwrap();
         let turn = nalgebra::UnitQuaternion::from_scaled_axis(Vector3::new(0.2, -0.1, 0.4));
         let cam_left_from_target = pb3dp_geometry::Pose::from_parts(Vector3::new(0.05, 0.0, 0.5), turn);
@@ -216,9 +216,9 @@ fn the_bound_grows_with_noise_and_falls_with_the_baseline() {
                 pb3dp_geometry::Pose::<pb3dp_geometry::frames::World, pb3dp_geometry::frames::CamLeft>::coincident()
                     * cam_left_from_target,
         };
-        let seen = maker.moved[0].ground_truth(&poses);
+        let ground_truth = maker.moved[0].ground_truth(&poses);
         let plane = super::super::trial::plane_of(&cam_left_from_target);
-        let covariance = maker.bound(&poses, &seen, &plane, &Vector3::new(0.1, 0.0, 1.0)).unwrap();
+        let covariance = maker.bound(&poses, &ground_truth, &plane, &Vector3::new(0.1, 0.0, 1.0)).unwrap();
         covariance[(0, 0)].sqrt() * 1e3
     };
     let nominal = sigma_mm(0.1, 3.0);

@@ -67,7 +67,7 @@ fn dump_cell(cell: &Cell, args: &Args) -> anyhow::Result<()> {
         let pair = worker.render(index)?;
         let mask = pair.trial.region.rasterize(&pair.left, &Default::default())?;
         let centroid_px = mask.centroid_px().context("the region is empty")?;
-        let ray = worker.told_rig().left().unproject(&centroid_px)?;
+        let ray = worker.stated_rig().left().unproject(&centroid_px)?;
         let plane = pair.trial.plane;
         let name = format!("{}_{index:04}", cell.name.replace('/', "_"));
         let draft = CaseDraft {
@@ -79,7 +79,7 @@ fn dump_cell(cell: &Cell, args: &Args) -> anyhow::Result<()> {
             hard: None,
             truth: Some(PlaneTruth::exact(ray / plane.dot(&ray), plane)),
         };
-        write_case(&args.out.join(&name), &draft, worker.told_rig(), &pair.left, &pair.right)?;
+        write_case(&args.out.join(&name), &draft, worker.stated_rig(), &pair.left, &pair.right)?;
     }
     println!("cases of {} are in {}", cell.name, args.out.display());
     Ok(())

@@ -78,7 +78,7 @@ fn score_figure(args: &Args, scenes: &mut SceneStore, made: &str) -> anyhow::Res
         let cell = cell(name)?;
         let mut worker = Worker::new(&cell, &scenes.scene(&cell.setup)?, args.seed, &[])?;
         let pair = worker.render(SCORED_POSE)?;
-        let rig = worker.told_rig();
+        let rig = worker.stated_rig();
         let depth_m = 1.0 / pair.trial.plane.z;
         let px_mm = 1e3 * depth_m * depth_m / (rig.left().pinhole().fx * rig.baseline_m());
         for (from, to, step) in reaches {

@@ -152,7 +152,7 @@ pub fn measure(
     moved_s: Option<f64>,
 ) -> anyhow::Result<Value> {
     let setup = Setup::default();
-    let rig = rigs(&setup)?.told;
+    let rig = rigs(&setup)?.stated;
     let (mut judged, mut count) = (Vec::new(), 0);
     let (mut left, mut right) = (RgbImage::new(1, 1), RgbImage::new(1, 1));
     for part in 0..2 {
@@ -171,15 +171,15 @@ pub fn measure(
             renderer.render_pair(&poses, number as u64, &mut left, &mut right);
             let mask = marked.rasterize(&left, &RegionConfig::default())?;
             let is_inside = |[u, v]: [u32; 2]| mask.contains(u as i32, v as i32);
-            let seen = renderer.ground_truth(&poses);
-            let shown = seen.pixels(&[SceneObject::Target]).filter(|(pixel, _)| is_inside(*pixel)).count();
-            let Some(plane) = seen.plane_in(rig.left(), is_inside) else { continue };
+            let truth = renderer.ground_truth(&poses);
+            let shown = truth.pixels(&[SceneObject::Target]).filter(|(pixel, _)| is_inside(*pixel)).count();
+            let Some(plane) = truth.plane_in(rig.left(), is_inside) else { continue };
             if (shown as f64) < TARGET_SHARE_MIN * mask.area_px() as f64 {
                 continue;
             }
             count += 1;
             let mut tracker = Tracker::new(Method::Direct, &rig, &config())?;
-            let answer = tracker.estimate(EstimateRequest::of_target(&left, &right, &marked, &SEARCH))?;
+            let answer = tracker.estimate(EstimateRequest::new_target(&left, &right, &marked, &SEARCH))?;
             let Some(first) = judge(&answer, &plane) else { continue };
             let last = match moved_s {
                 Some(moved_s) => follow(&mut tracker, &mut renderer, &poses, [&mut left, &mut right], moved_s)?,
@@ -208,7 +208,7 @@ fn follow(
         let world_from_target = Pose::from_parts(before.translation_m() + shift * MOTION, turn * before.rotation());
         renderer.render_pair(&ScenePoses { world_from_target, ..*first }, u64::from(frame), left, right);
         let prior = FramePrior { dt_s: Some(1.0 / RATE_HZ), ..FramePrior::default() };
-        last = Some(tracker.estimate(EstimateRequest::of_next(&*left, &*right, &prior))?);
+        last = Some(tracker.estimate(EstimateRequest::next_frame(&*left, &*right, &prior))?);
     }
     Ok(last.filter(|last| last.cam_left_from_model.is_some()))
 }

@@ -106,14 +106,14 @@ impl<'a> Worker<'a> {
         let renderer = if cell.question == Question::Accuracy { renderer.with_fine_sampling()? } else { renderer };
         let config = config();
         let estimators =
-            methods.iter().map(|method| Estimator::new(*method, &rigs.told, &config)).collect::<Result<_, _>>()?;
-        let bounds = BoundMaker::new(&cell.setup, scene, &rigs.told)?;
+            methods.iter().map(|method| Estimator::new(*method, &rigs.stated, &config)).collect::<Result<_, _>>()?;
+        let bounds = BoundMaker::new(&cell.setup, scene, &rigs.stated)?;
         Ok(Self { cell, seed, rigs, renderer, bounds, estimators })
     }
 
     /// The rig that the estimators receive.
-    pub fn told_rig(&self) -> &pb3dp_geometry::StereoRig {
-        &self.rigs.told
+    pub fn stated_rig(&self) -> &pb3dp_geometry::StereoRig {
+        &self.rigs.stated
     }
 
     /// Renders pose number `index`.
@@ -132,11 +132,11 @@ impl<'a> Worker<'a> {
         let Rendered { trial, left, right } = self.render(index)?;
         let mask = trial.region.rasterize(&left, &RegionConfig::default())?;
         let centroid_px = mask.centroid_px().context("the region is empty")?;
-        let ray = self.rigs.told.left().unproject(&centroid_px)?;
+        let ray = self.rigs.stated.left().unproject(&centroid_px)?;
         let bound = if self.cell.question == Question::Unobservable {
             None
         } else {
-            self.bounds.bound(&trial.poses, &trial.seen, &trial.plane, &ray)
+            self.bounds.bound(&trial.poses, &trial.ground_truth, &trial.plane, &ray)
         };
         let search = &self.cell.search;
         let outcomes = self
@@ -144,7 +144,7 @@ impl<'a> Worker<'a> {
             .iter_mut()
             .map(|estimator| {
                 let (answer, cpu_millis) =
-                    timed(|| estimator.estimate(EstimateRequest::of_target(&left, &right, &trial.region, search)));
+                    timed(|| estimator.estimate(EstimateRequest::new_target(&left, &right, &trial.region, search)));
                 match answer {
                     Ok(estimate) => outcome(&estimate, &trial.truth_for(&estimate, &ray), &ray, cpu_millis),
                     Err(_) => Outcome { status: Status::Error, errors: None, normalised_error: None, cpu_millis },

@@ -147,7 +147,7 @@ pub struct Rigs {
     /// The rig that renders.
     pub real: StereoRig,
     /// The rig that the estimators use.
-    pub told: StereoRig,
+    pub stated: StereoRig,
 }
 
 /// Cameras of a setup.
@@ -155,15 +155,15 @@ pub struct Rigs {
 /// # Errors
 /// If the geometry rejects them.
 pub fn rigs(setup: &Setup) -> anyhow::Result<Rigs> {
-    let told = match setup.rig {
+    let stated = match setup.rig {
         RigKind::Parallel { baseline_m } => {
             let camera = Camera::new(SIZE, PINHOLE, Distortion::None)?;
             StereoRig::new(camera, camera, Pose::from_translation(Vector3::new(-baseline_m, 0.0, 0.0)))?
         }
         RigKind::Unequal => unequal()?,
     };
-    let real = shifted(&told, &told, Vector2::new(0.0, setup.rows_off_px))?;
-    Ok(Rigs { real, told })
+    let real = shifted(&stated, &stated, Vector2::new(0.0, setup.rows_off_px))?;
+    Ok(Rigs { real, stated })
 }
 
 const PINHOLE: Pinhole = Pinhole { fx: 740.0, fy: 740.0, cx: 319.5, cy: 239.5 };
@@ -224,13 +224,13 @@ mod tests {
     }
 
     #[test]
-    fn misaligned_rows_are_not_told() {
+    fn misaligned_rows_are_not_reported() {
         let setup = Setup { rows_off_px: 0.5, ..Setup::default() };
         let rigs = rigs(&setup).unwrap();
         let point = Point3::new(0.02, 0.01, 0.5);
         let row =
             |rig: &StereoRig| rig.right().project(&rig.cam_right_from_cam_left().transform_point(&point)).unwrap().y;
-        assert!((row(&rigs.real) - row(&rigs.told) - 0.5).abs() < 1e-12);
-        assert_eq!(rigs.real.left(), rigs.told.left());
+        assert!((row(&rigs.real) - row(&rigs.stated) - 0.5).abs() < 1e-12);
+        assert_eq!(rigs.real.left(), rigs.stated.left());
     }
 }

@@ -136,7 +136,7 @@ mod tests {
             let scene = SceneStore::default().scene(&cell.setup).unwrap();
             let mut worker = Worker::new(&cell, &scene, 5, &[]).unwrap();
             let pair = worker.render(0).unwrap();
-            let samples = scores(&cell, worker.told_rig(), &pair, &offsets).unwrap();
+            let samples = scores(&cell, worker.stated_rig(), &pair, &offsets).unwrap();
             let best = samples.iter().max_by(|a, b| of(a).total_cmp(&of(b))).unwrap();
             (best.off_px, of(best))
         };

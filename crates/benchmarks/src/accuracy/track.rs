@@ -40,7 +40,7 @@ impl<'a> Frames<'a> {
         let scene = scenes.scene(&setup)?;
         let renderer = StereoRenderer::new(scene, rigs.real, &sensor(&setup), seed ^ hash_of(&spec.name))?;
         let renderer = if spec.fine { renderer.with_fine_sampling()? } else { renderer };
-        Ok(Self { spec, renderer, rig: rigs.told })
+        Ok(Self { spec, renderer, rig: rigs.stated })
     }
 
     /// Renders a frame.
@@ -84,8 +84,8 @@ pub fn follow(spec: &SequenceSpec, methods: &[Method], seed: u32, scenes: &mut S
         for ((tracker, tracked), judge) in trackers.iter_mut().zip(&mut tracked).zip(&mut judges) {
             let (answer, cpu_millis) = timed(|| match frame {
                 0 => tracker
-                    .estimate(EstimateRequest::of_target(&left, &right, &region, &SEARCH).with_skew(prior.skew_s)),
-                _ => tracker.estimate(EstimateRequest::of_next(&left, &right, &prior)),
+                    .estimate(EstimateRequest::new_target(&left, &right, &region, &SEARCH).with_skew(prior.skew_s)),
+                _ => tracker.estimate(EstimateRequest::next_frame(&left, &right, &prior)),
             });
             let judged = judge.judge(frame, answer.ok(), cpu_millis);
             tracked.extend((frame >= first_judged).then_some(judged));

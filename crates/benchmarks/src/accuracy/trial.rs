@@ -20,7 +20,7 @@ pub struct Trial {
     /// The scene.
     pub poses: ScenePoses,
     /// The view of the left camera.
-    pub seen: GroundTruth,
+    pub ground_truth: GroundTruth,
     /// The true inverse-depth plane: the target's own plane, or for a relief the least-squares plane of the inverse
     /// depths of its visible pixels.
     pub plane: Vector3<f64>,
@@ -52,19 +52,20 @@ pub fn trial(cell: &Cell, seed: u32, index: usize, renderer: &mut StereoRenderer
     if cell.setup.occluded_share > 0.0 {
         poses = hide(cell.setup.occluded_share, &cam_left_from_target, &mut random, renderer);
     }
-    let seen = renderer.ground_truth(&poses);
+    let ground_truth = renderer.ground_truth(&poses);
     let plane = if cell.setup.is_planar() {
         plane_of(&cam_left_from_target)
     } else {
-        fitted_plane(&seen, renderer.rig().left())?
+        fitted_plane(&ground_truth, renderer.rig().left())?
     };
     let outline_px = match cell.setup.region {
         RegionKind::Rectangle => rectangle_around(&renderer.target_outline_px(&poses)?),
         RegionKind::Outline | RegionKind::Interior => renderer.target_outline_px(&poses)?,
     };
-    let larger_plane = occluder_is_larger(&seen, &outline_px).then(|| plane_of(&poses.world_from_cam_left.inverse()));
+    let larger_plane =
+        occluder_is_larger(&ground_truth, &outline_px).then(|| plane_of(&poses.world_from_cam_left.inverse()));
     let region = Region::Polygon { vertices_px: outline_px.clone() };
-    Some(Trial { poses, seen, plane, larger_plane, region, outline_px })
+    Some(Trial { poses, ground_truth, plane, larger_plane, region, outline_px })
 }
 
 fn random_pose(cell: &Cell, random: &mut Random) -> Pose<CamLeft, Target> {
@@ -85,12 +86,12 @@ pub fn plane_of<F: Frame>(cam_left_from_it: &Pose<CamLeft, F>) -> Vector3<f64> {
 }
 
 /// Whether the bounding box of an outline shows more of the occluder than of the target.
-fn occluder_is_larger(seen: &GroundTruth, outline_px: &[Vector2<f64>]) -> bool {
+fn occluder_is_larger(ground_truth: &GroundTruth, outline_px: &[Vector2<f64>]) -> bool {
     let corners_px = rectangle_around(outline_px);
     let (low, high) = (corners_px[0], corners_px[2]);
-    let width = seen.size.width as usize;
+    let width = ground_truth.size.width as usize;
     let count = |wanted: SceneObject| {
-        let shown = seen.object.iter().enumerate().filter(|(_, object)| **object == wanted);
+        let shown = ground_truth.object.iter().enumerate().filter(|(_, object)| **object == wanted);
         let pixels = shown.map(|(index, _)| ((index % width) as f64, (index / width) as f64));
         pixels.filter(|(u, v)| (low.x..=high.x).contains(u) && (low.y..=high.y).contains(v)).count()
     };
@@ -110,28 +111,28 @@ fn hide(
         world_from_target: cam_left_from_world.inverse() * *cam_left_from_target,
     };
     let behind_the_camera = Pose::from_translation(Vector3::new(0.0, 0.0, -2.0));
-    let seen = renderer.ground_truth(&poses(behind_the_camera));
+    let ground_truth = renderer.ground_truth(&poses(behind_the_camera));
     let angle = random.between(0.0, std::f64::consts::TAU);
     let (sin, cos) = angle.sin_cos();
     let mut places: Vec<(f64, Vector2<f64>)> =
-        target_pixels(&seen).map(|(pixel, _)| (pixel.x * cos + pixel.y * sin, pixel)).collect();
+        target_pixels(&ground_truth).map(|(pixel, _)| (pixel.x * cos + pixel.y * sin, pixel)).collect();
     places.sort_by(|a, b| a.0.total_cmp(&b.0));
     let edge = ((1.0 - share) * places.len() as f64) as usize;
     let Some((_, pixel)) = places.get(edge) else { return poses(behind_the_camera) };
     let Ok(ray) = renderer.rig().left().unproject(pixel) else { return poses(behind_the_camera) };
-    let nearest = target_pixels(&seen).map(|(_, depth_m)| depth_m).fold(f64::INFINITY, f64::min);
+    let nearest = target_pixels(&ground_truth).map(|(_, depth_m)| depth_m).fold(f64::INFINITY, f64::min);
     let turn = UnitQuaternion::from_scaled_axis(Vector3::z() * angle);
     poses(Pose::from_parts(ray * (nearest - OCCLUDER_GAP_M), turn))
 }
 
 /// Pixels that show the target, with their depth in metres.
-pub fn target_pixels(seen: &GroundTruth) -> impl Iterator<Item = (Vector2<f64>, f64)> + '_ {
-    seen.pixels(&[SceneObject::Target]).map(|(pixel, depth_m)| (pixel.map(f64::from).into(), depth_m))
+pub fn target_pixels(ground_truth: &GroundTruth) -> impl Iterator<Item = (Vector2<f64>, f64)> + '_ {
+    ground_truth.pixels(&[SceneObject::Target]).map(|(pixel, depth_m)| (pixel.map(f64::from).into(), depth_m))
 }
 
 /// The least-squares plane of the inverse depths of the target's visible pixels; `None` if they do not span a plane.
-pub fn fitted_plane(seen: &GroundTruth, camera: &Camera) -> Option<Vector3<f64>> {
-    GroundTruth::plane(camera, seen.pixels(&[SceneObject::Target]))
+pub fn fitted_plane(ground_truth: &GroundTruth, camera: &Camera) -> Option<Vector3<f64>> {
+    GroundTruth::plane(camera, ground_truth.pixels(&[SceneObject::Target]))
 }
 
 /// The bounding box of an outline.
@@ -190,18 +191,21 @@ mod tests {
         let mut others = 0;
         for index in 65..75 {
             let trial = trial(cell, 1, index, &mut renderer).unwrap();
-            let seen = renderer.ground_truth(&trial.poses);
-            let [width, height] = [seen.size.width, seen.size.height].map(|size| size as usize);
+            let ground_truth = renderer.ground_truth(&trial.poses);
+            let [width, height] = [ground_truth.size.width, ground_truth.size.height].map(|size| size as usize);
             for v in (0..height).step_by(20) {
                 for u in (0..width).step_by(20) {
                     let (at, ray) = (v * width + u, rig.left().unproject(&Vector2::new(u as f64, v as f64)).unwrap());
-                    let plane = match seen.object[at] {
+                    let plane = match ground_truth.object[at] {
                         SceneObject::Target => Some(trial.plane),
                         SceneObject::Room => trial.larger_plane,
                         _ => None,
                     };
                     let Some(plane) = plane else { continue };
-                    assert!((plane.dot(&ray) * f64::from(seen.depth_m[at]) - 1.0).abs() < 1e-4, "{index}: {u}, {v}");
+                    assert!(
+                        (plane.dot(&ray) * f64::from(ground_truth.depth_m[at]) - 1.0).abs() < 1e-4,
+                        "{index}: {u}, {v}"
+                    );
                 }
             }
             others += usize::from(trial.larger_plane.is_some());

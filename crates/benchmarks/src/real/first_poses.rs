@@ -47,7 +47,7 @@ const COLUMNS: [Column<'_>; 5] = [
 fn first_pose(case: &Prepared) -> anyhow::Result<Entry> {
     let mut tracker = Tracker::new(Method::Direct, &case.rig, &EstimatorConfig::default())?;
     let images = &case.images;
-    let request = EstimateRequest::of_target(&images.left, &images.right, &case.region, &case.range);
+    let request = EstimateRequest::new_target(&images.left, &images.right, &case.region, &case.range);
     let found = tracker.estimate(request)?;
     let [u, v] = case.centroid_px;
     let ray = case.rig.left().unproject(&Vector2::new(u, v))?;

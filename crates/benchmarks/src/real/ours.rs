@@ -30,7 +30,7 @@ fn fill(entry: &mut Entry, case: &Prepared, method: Method, repeat: u32) -> anyh
     entry.rows_ms = (method == Method::Direct).then_some(rows_ms);
     let mut estimate_timed = || {
         timed(|| {
-            estimator.estimate(EstimateRequest::of_target(
+            estimator.estimate(EstimateRequest::new_target(
                 &case.images.left,
                 &case.images.right,
                 &case.region,
@@ -51,7 +51,7 @@ fn fill(entry: &mut Entry, case: &Prepared, method: Method, repeat: u32) -> anyh
     entry.ms = metrics::median(&times);
     entry.first_ms = Some(first_ms);
     if let Some(truth) = case.disparity.as_ref().filter(|_| !case.facts.is_planar()) {
-        let request = EstimateRequest::of_target(&case.images.left, &case.images.right, &case.region, &case.range);
+        let request = EstimateRequest::new_target(&case.images.left, &case.images.right, &case.region, &case.range);
         let points = estimator.visible_surface(&request).ok();
         entry.surface = points.and_then(|points| surface_score(case, &points, truth));
     }

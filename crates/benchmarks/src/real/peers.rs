@@ -72,8 +72,8 @@ pub fn entries(lines: &str, cases: &[Rc<CaseFacts>], source: &str) -> anyhow::Re
         let entry = entry_of(line, &by_name).with_context(|| format!("{source}, line {}", index + 1))?;
         found.extend(entry);
     }
-    let seen: BTreeSet<_> = found.iter().map(|entry| entry.case.name.clone()).collect();
-    let missing: Vec<_> = cases.iter().map(|case| &case.name).filter(|name| !seen.contains(*name)).collect();
+    let present: BTreeSet<_> = found.iter().map(|entry| entry.case.name.clone()).collect();
+    let missing: Vec<_> = cases.iter().map(|case| &case.name).filter(|name| !present.contains(*name)).collect();
     if let Some(first) = missing.first() {
         eprintln!("{source} has no line for {} of {} cases, such as {first}", missing.len(), cases.len());
     }

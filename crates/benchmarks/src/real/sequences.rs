@@ -126,9 +126,9 @@ fn follow(sequence: &Sequence, truth: &[Pose<CamLeft, Model>], method: Method) -
             ..FramePrior::of_skew(skew_s)
         };
         // Until a method has a target, the region of the first frame is the best that there is for a target that moves little.
-        let request = match frame == 0 || tracker.wants_region() {
-            true => EstimateRequest::of_target(&images.left, &images.right, &region, &range).with_skew(skew_s),
-            false => EstimateRequest::of_next(&images.left, &images.right, &prior),
+        let request = match frame == 0 || tracker.needs_new_region() {
+            true => EstimateRequest::new_target(&images.left, &images.right, &region, &range).with_skew(skew_s),
+            false => EstimateRequest::next_frame(&images.left, &images.right, &prior),
         };
         let (estimate, ms) = timed(|| tracker.estimate(request));
         let estimate = estimate?;

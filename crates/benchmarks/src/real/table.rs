@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_measured_once_is_told_below_the_table() {
+    fn values_measured_once_stand_below_the_table() {
         let known = [case("a", Group::Small, (0.0, 0.0)), case("b", Group::Textured, (0.0, 0.0))];
         let timed = |index: usize, ms: f64| Entry { rows_ms: Some(ms), ..entry(&known[index], "m", None) };
         let entries = [timed(0, 50.0), timed(1, 70.0), entry(&known[0], "n", None)];

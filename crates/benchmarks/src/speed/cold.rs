@@ -62,7 +62,7 @@ impl Entry {
     /// Status and CPU time of one cold start.
     fn call(&mut self, region: &Region) -> anyhow::Result<(&'static str, f64)> {
         let (left, right) = &self.clip.pairs[0];
-        let request = EstimateRequest::of_target(left, right, region, &self.range);
+        let request = EstimateRequest::new_target(left, right, region, &self.range);
         let (found, ms) = timed(|| self.estimator.estimate(request));
         Ok((found?.status.as_str(), ms))
     }
@@ -222,10 +222,10 @@ fn case_times(case: &cases::Prepared, rounds: usize) -> anyhow::Result<CaseTimes
         estimator.correct_rig(watch.rig(), errors)?;
     }
     let (first, first_ms) =
-        timed(|| estimator.estimate(EstimateRequest::of_target(left, right, &case.region, &case.range)));
+        timed(|| estimator.estimate(EstimateRequest::new_target(left, right, &case.region, &case.range)));
     first?;
     let whole = repeat(rounds, || {
-        estimator.estimate(EstimateRequest::of_target(left, right, &case.region, &case.range))?;
+        estimator.estimate(EstimateRequest::new_target(left, right, &case.region, &case.range))?;
         Ok(())
     })?;
     let problem = Problem { rig: &case.rig, left, right, region: &case.region, range: &case.range };

@@ -92,7 +92,7 @@ fn cold_starts(clip: &Clip, targets: &[usize], rounds: usize) -> anyhow::Result<
     let mut estimator = DirectEstimator::new(&clip.rig, DirectConfig::default())?;
     repeat(rounds, || {
         for index in targets {
-            estimator.estimate(EstimateRequest::of_target(left, right, &clip.regions[*index], &SEARCH))?;
+            estimator.estimate(EstimateRequest::new_target(left, right, &clip.regions[*index], &SEARCH))?;
         }
         Ok(())
     })

@@ -122,7 +122,7 @@ impl<'a> StageBench<'a> {
     pub fn new(problem: Problem<'a>, kernels: Kernels) -> anyhow::Result<Self> {
         let config = DirectConfig::default();
         let mut estimator = DirectEstimator::with_kernels(problem.rig, config.clone(), kernels)?;
-        let found = estimator.estimate(EstimateRequest::of_target(
+        let found = estimator.estimate(EstimateRequest::new_target(
             problem.left,
             problem.right,
             problem.region,
@@ -218,7 +218,7 @@ impl<'a> StageBench<'a> {
             }
             Stage::Whole => {
                 let Problem { region, range, .. } = *problem;
-                self.estimator.estimate(EstimateRequest::of_target(left, right, region, range))?;
+                self.estimator.estimate(EstimateRequest::new_target(left, right, region, range))?;
             }
         }
         Ok(())

@@ -40,7 +40,7 @@ impl Follower {
         let mut tracker = DirectTracker::with_kernels(&clip.rig, DirectConfig::default(), track, kernels)?;
         let region = clip.regions.get(index).context("the clip has no such region")?;
         let (left, right) = clip.pair(0);
-        let estimate = tracker.estimate(EstimateRequest::of_target(left, right, region, &SEARCH))?;
+        let estimate = tracker.estimate(EstimateRequest::new_target(left, right, region, &SEARCH))?;
         if estimate.status != Status::Ok {
             bail!("the start of region {index} is {}: {}", estimate.status.as_str(), estimate.reason);
         }
@@ -55,8 +55,9 @@ impl Follower {
         self.frame += 1;
         let (left, right) = clip.pair(self.frame);
         let prior = FramePrior::default();
-        let (outcome, ms) =
-            timed(|| self.tracker.follow_into(&mut EstimateRequest::of_next(left, right, &prior), &mut self.estimate));
+        let (outcome, ms) = timed(|| {
+            self.tracker.follow_into(&mut EstimateRequest::next_frame(left, right, &prior), &mut self.estimate)
+        });
         outcome?;
         Ok((self.estimate.status, ms))
     }

@@ -16,7 +16,7 @@ use pb3dp_record::metrics::percentile;
 
 use crate::bound::{Corner, variance_px2};
 use crate::renderer::{GREYS, Imaging, Renderer};
-use crate::support::{Random, SIZE, Session, board, normalised_errors, placed, rig, seen_by_both};
+use crate::support::{Random, SIZE, Session, board, detected_by_both, normalised_errors, placed, rig};
 
 /// Views per rig.
 const VIEWS: usize = 15;
@@ -202,7 +202,7 @@ fn scenes(rig: &StereoRig, random: &mut Random) -> Vec<Scene> {
     let mut scenes = Vec::with_capacity(VIEWS);
     while scenes.len() < VIEWS {
         let left = placed(rig, &board(), &exact, random);
-        let Some(truth) = seen_by_both(rig, &left, &exact, random) else { continue };
+        let Some(truth) = detected_by_both(rig, &left, &exact, random) else { continue };
         scenes.push(([left, rig.cam_right_from_cam_left().isometry() * left], truth));
     }
     scenes

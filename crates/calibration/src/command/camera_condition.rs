@@ -27,7 +27,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_right_eye_that_is_softer_and_darker_is_told() {
+    fn a_softer_and_darker_right_image_is_reported() {
         let folder = tempfile::tempdir().expect("a folder");
         let sharp = image::RgbImage::from_fn(160, 120, |x, y| {
             image::Rgb([if (x / 16 + y / 16) % 2 == 0 { 40 } else { 200 }; 3])

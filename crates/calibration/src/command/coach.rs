@@ -58,7 +58,7 @@ enum Look {
     NoBoard(String),
     Blurred,
     Moving,
-    SeenBefore,
+    DetectedBefore,
     Unexplained,
     Taken,
 }
@@ -69,7 +69,7 @@ impl Look {
             Self::NoBoard(reason) => reason.clone(),
             Self::Blurred => "blurred: hold the board still, add light, or focus the cameras".to_owned(),
             Self::Moving => "the board is moving: hold it still for a moment".to_owned(),
-            Self::SeenBefore => "similar to an earlier view".to_owned(),
+            Self::DetectedBefore => "similar to an earlier view".to_owned(),
             Self::Unexplained => "the corners fit no camera model: check that the board is flat".to_owned(),
             Self::Taken => "taken".to_owned(),
         }
@@ -90,7 +90,7 @@ struct Coach<'a> {
     limits: Limits,
     args: &'a CoachArgs,
     views: Vec<View<2>>,
-    told: Option<(Look, usize)>,
+    last_hint: Option<(Look, usize)>,
 }
 
 /// Runs until there are enough views or the recording ends; ending with views missing is a failure.
@@ -98,7 +98,7 @@ pub(super) fn run(args: &CoachArgs) -> Result<ExitCode> {
     let [columns, rows] = args.board;
     let board = Chessboard::new(columns, rows, args.square * 1e-3)?;
     let limits = gates_file::read(args.gates.as_deref(), Limits::of_cameras())?;
-    let mut coach = Coach { board: &board, limits, args, views: Vec::new(), told: None };
+    let mut coach = Coach { board: &board, limits, args, views: Vec::new(), last_hint: None };
     if args.folder.join(STOPS_FILE).exists() {
         bail!(
             "{}: this is a recording of arm stops, which is already complete; use it with pb3dp calibrate stereo --recording",
@@ -152,9 +152,9 @@ impl Coach<'_> {
         let size = recording.size;
         let stands = self.stands(sequence);
         let advice = advice(&stands, &self.limits);
-        if self.told.as_ref() != Some(&(look.clone(), self.views.len())) {
+        if self.last_hint.as_ref() != Some(&(look.clone(), self.views.len())) {
             tell(&self.line(&look, &advice))?;
-            self.told = Some((look.clone(), self.views.len()));
+            self.last_hint = Some((look.clone(), self.views.len()));
         }
         if let Some(file) = &self.args.page {
             let page = self.page(&look, &advice, &now).image_plots(&coverage_plots(&self.views, size));
@@ -181,7 +181,7 @@ impl Coach<'_> {
         let Some(stand) = stand else { return Ok(Look::Unexplained) };
         now.tilt_deg = Some(stand.tilt_angle_deg());
         if !adds(&stand, &self.stands(sequence), &wanted) {
-            return Ok(Look::SeenBefore);
+            return Ok(Look::DetectedBefore);
         }
         if !now.speed_px_per_s.is_some_and(|speed| speed <= wanted.speed_max_px_per_s) {
             return Ok(Look::Moving);
@@ -230,7 +230,7 @@ impl Coach<'_> {
             |value: Option<f64>, unit: &str| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.1}{unit}"));
         let tone = match (&advice.request, look) {
             (None, _) | (_, Look::Taken) => Tone::Good,
-            (_, Look::SeenBefore) => Tone::Fair,
+            (_, Look::DetectedBefore) => Tone::Fair,
             _ => Tone::Bad,
         };
         let mut tilts = Table::new(["side farther away", "views"]);

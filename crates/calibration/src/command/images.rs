@@ -66,7 +66,7 @@ impl<const N: usize> Images<N> {
 
     /// Detects the board in all views. Reports and leaves out views in which one camera does not see it.
     pub(super) fn sightings(&self, board: &Chessboard) -> Result<DetectedBoards<N>> {
-        let mut told: Vec<String> = self
+        let mut notes: Vec<String> = self
             .alone
             .iter()
             .map(|file| format!("left out {}: no matching image of the other camera", file.display()))
@@ -82,19 +82,19 @@ impl<const N: usize> Images<N> {
                     views.push(view);
                     used.push(files.clone());
                 }
-                Err((file, reason)) => told.push(format!("left out {}: {reason}", file.display())),
+                Err((file, reason)) => notes.push(format!("left out {}: {reason}", file.display())),
             }
         }
         if views.is_empty() {
-            bail!("the board was detected in none of {} views:\n{}", self.views.len(), told.join("\n"));
+            bail!("the board was detected in none of {} views:\n{}", self.views.len(), notes.join("\n"));
         }
         let newest = match &self.date {
             Some(date) => date.clone(),
             None => written(self.views.iter().flat_map(|(_, files)| files))?,
         };
         let folder = first.parent().unwrap_or(Path::new(".")).to_path_buf();
-        let told = told.join("\n");
-        Ok(DetectedBoards { views, size, newest, told, files: used, folder, stops: None, _unpacked: None })
+        let notes = notes.join("\n");
+        Ok(DetectedBoards { views, size, newest, notes, files: used, folder, stops: None, _unpacked: None })
     }
 }
 
@@ -125,8 +125,8 @@ impl Images<2> {
             (format!("stop {number:02}"), [&stop.left, &stop.right].map(|file| recorded.folder.join(file)))
         };
         let views = stops.iter().enumerate().map(view).collect();
-        let seen = Self { views, alone: Vec::new(), date: Some(date.clone()) }.sightings(board)?;
-        Ok(DetectedBoards { folder: recorded.folder.clone(), stops: Some(recorded), ..seen })
+        let detected = Self { views, alone: Vec::new(), date: Some(date.clone()) }.sightings(board)?;
+        Ok(DetectedBoards { folder: recorded.folder.clone(), stops: Some(recorded), ..detected })
     }
 
     /// Detects the board in pairs that were taken one by one.
@@ -137,10 +137,10 @@ impl Images<2> {
         };
         let views =
             pairs.files.iter().enumerate().map(|(number, files)| (name(number, files), files.clone())).collect();
-        let seen = Self { views, alone: Vec::new(), date: pairs.date.clone() }.sightings(board)?;
-        let told = pairs.told.iter().cloned().chain([seen.told]).filter(|line| !line.is_empty());
-        let told = told.collect::<Vec<_>>().join("\n");
-        Ok(DetectedBoards { told, folder: pairs.folder().to_path_buf(), _unpacked: pairs.unpacked, ..seen })
+        let detected = Self { views, alone: Vec::new(), date: pairs.date.clone() }.sightings(board)?;
+        let notes = pairs.notes.iter().cloned().chain([detected.notes]).filter(|line| !line.is_empty());
+        let notes = notes.collect::<Vec<_>>().join("\n");
+        Ok(DetectedBoards { notes, folder: pairs.folder().to_path_buf(), _unpacked: pairs.unpacked, ..detected })
     }
 }
 
@@ -166,7 +166,7 @@ pub(super) fn view<const N: usize>(
 /// Detections with the same first corner in all cameras.
 pub(super) fn agreed<const N: usize>(mut sightings: [Sighting; N], board: &Chessboard) -> [Sighting; N] {
     if let Some((first, others)) = sightings.split_first_mut() {
-        for other in others.iter_mut().filter(|_| !board.is_told_from_its_half_turn()) {
+        for other in others.iter_mut().filter(|_| !board.has_unique_orientation()) {
             *other = agree(first, std::mem::take(other), board);
         }
     }

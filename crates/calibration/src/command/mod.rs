@@ -197,14 +197,14 @@ fn intrinsics(args: &IntrinsicsArgs) -> Result<ExitCode> {
     let (board, limits) = args.common.checked()?;
     let images = Images::<1>::find(&[&args.images])?;
     images.check_one_camera(&args.images)?;
-    let seen = images.sightings(&board)?;
-    args.common.write_corners(&seen.views)?;
-    tell(&seen.told)?;
-    let chosen = choose(&seen.views, &board, seen.size, args.common.models())?;
-    let quality = Quality::of_camera(&chosen, &seen.views, seen.size);
+    let detected = images.sightings(&board)?;
+    args.common.write_corners(&detected.views)?;
+    tell(&detected.notes)?;
+    let chosen = choose(&detected.views, &board, detected.size, args.common.models())?;
+    let quality = Quality::of_camera(&chosen, &detected.views, detected.size);
     if let Some(file) = &args.common.report {
-        let page = of_camera(&chosen, &quality, &limits.judge_cameras(&quality), &seen.views, seen.size);
-        tell(&page::write(page, &chosen, &quality, &seen, file)?)?;
+        let page = of_camera(&chosen, &quality, &limits.judge_cameras(&quality), &detected.views, detected.size);
+        tell(&page::write(page, &chosen, &quality, &detected, file)?)?;
     }
     conclude(&chosen, &quality, &limits)
 }
@@ -221,12 +221,12 @@ fn stereo(args: &StereoArgs) -> Result<ExitCode> {
     for file in args.out.iter().chain(&args.common.report) {
         make_folder_of(file)?;
     }
-    let seen = args.pairs.sightings(&board)?;
-    args.common.write_corners(&seen.views)?;
-    tell(&seen.told)?;
-    let chosen = choose(&seen.views, &board, seen.size, args.common.models())?;
+    let detected = args.pairs.sightings(&board)?;
+    args.common.write_corners(&detected.views)?;
+    tell(&detected.notes)?;
+    let chosen = choose(&detected.views, &board, detected.size, args.common.models())?;
     let rig = chosen.fit.rig()?;
-    let quality = Quality::of_stereo(&chosen, &seen.views, seen.size, args.distance * 1e-3)?;
+    let quality = Quality::of_stereo(&chosen, &detected.views, detected.size, args.distance * 1e-3)?;
     let quality = match args.baseline {
         Some(known_mm) => quality.with_known_baseline(&rig, known_mm * 1e-3),
         None => quality,
@@ -234,15 +234,16 @@ fn stereo(args: &StereoArgs) -> Result<ExitCode> {
     tell(&report::rig(&chosen.fit, &rig, args.distance * 1e-3)?)?;
     let code = conclude(&chosen, &quality, &limits)?;
     if let Some(out) = &args.out {
-        let cameras = judgement::cameras(args.cameras.as_deref(), &seen.folder)?;
+        let cameras = judgement::cameras(args.cameras.as_deref(), &detected.folder)?;
         let mut judgement =
-            judgement::of(&chosen, &quality, &limits.judge_cameras(&quality), (seen.newest.as_str(), cameras));
-        judgement.numbers.extend(camera_condition::numbers(&seen.files)?);
+            judgement::of(&chosen, &quality, &limits.judge_cameras(&quality), (detected.newest.as_str(), cameras));
+        judgement.numbers.extend(camera_condition::numbers(&detected.files)?);
         tell(&convert::write(&rig, Some(&judgement), out)?)?;
     }
     if let Some(file) = &args.common.report {
-        let page = of_stereo(&chosen, &quality, &limits.judge_cameras(&quality), &seen.views, args.distance * 1e-3)?;
-        tell(&page::write(page, &chosen, &quality, &seen, file)?)?;
+        let page =
+            of_stereo(&chosen, &quality, &limits.judge_cameras(&quality), &detected.views, args.distance * 1e-3)?;
+        tell(&page::write(page, &chosen, &quality, &detected, file)?)?;
     }
     Ok(code)
 }
@@ -317,7 +318,7 @@ struct DetectedBoards<const N: usize> {
     /// Modification time of the newest image, RFC 3339.
     newest: String,
     /// Which images were left out, and why.
-    told: String,
+    notes: String,
     /// The images of each view.
     files: Vec<[PathBuf; N]>,
     /// The folder to search for a `cameras.toml`; the folder above is searched as well.

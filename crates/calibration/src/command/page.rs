@@ -24,20 +24,20 @@ pub(super) fn write<const N: usize>(
     page: Report,
     chosen: &Chosen<N>,
     quality: &Quality,
-    seen: &DetectedBoards<N>,
+    detected: &DetectedBoards<N>,
     file: &Path,
 ) -> Result<String> {
     let mut views: Vec<(usize, &(String, f64))> = quality.reprojection_rms_by_view_px.iter().enumerate().collect();
     views.sort_by(|a, b| b.1.1.total_cmp(&a.1.1));
     let mut strip = Vec::new();
     for (index, (name, rms_px)) in views.into_iter().take(WORST_VIEWS) {
-        let (Some(files), Some(errors)) = (seen.files.get(index), chosen.fit.errors().get(index)) else { continue };
+        let (Some(files), Some(errors)) = (detected.files.get(index), chosen.fit.errors().get(index)) else { continue };
         let all: Vec<VectorAt> = errors
             .iter()
             .flatten()
             .map(|error| VectorAt { at_px: error.corner.pixel.into(), vector_px: error.error_px.into() })
             .collect();
-        let magnified = ImagePlot::magnification(&all, seen.size.width);
+        let magnified = ImagePlot::magnification(&all, detected.size.width);
         let mut images = Vec::with_capacity(N);
         for (file, errors) in files.iter().zip(errors) {
             images.push(image(file, errors, magnified)?);

@@ -29,7 +29,7 @@ const NEIGHBOUR_MAX_S: f64 = 0.6;
 const THREADS_MAX: usize = 4;
 
 /// Number of detection failures listed by reason.
-const REASONS_TOLD: usize = 5;
+const REASONS_LISTED: usize = 5;
 
 /// A checked pair, by its number in the recording.
 struct Look {
@@ -58,19 +58,19 @@ pub(super) fn sightings(path: &Path, asked: &RecordingOptions, board: &Chessboar
     let speed = |index: usize| recording.speed_px_per_s(frames[index], &candidates[index]);
     let wanted = Wanted::default();
     let selection = select(&candidates, board, size, &wanted, speed)?;
-    let told = told(&pairs, looks.len(), &selection, &without, &wanted);
+    let notes = notes(&pairs, looks.len(), &selection, &without, &wanted);
     if selection.chosen.is_empty() {
-        bail!("{}: no usable pair\n{told}", path.display());
+        bail!("{}: no usable pair\n{notes}", path.display());
     }
     let files: Vec<[PathBuf; 2]> = selection.chosen.iter().map(|index| recording.files(frames[*index])).collect();
     let views = selection.chosen.iter().map(|index| candidates[*index].view.clone()).collect();
     let newest = pairs.date.clone().map_or_else(|| written(files.iter().flatten()), Ok)?;
     let folder = pairs.folder().to_path_buf();
-    Ok(DetectedBoards { views, size, newest, told, files, folder, stops: None, _unpacked: pairs.unpacked })
+    Ok(DetectedBoards { views, size, newest, notes, files, folder, stops: None, _unpacked: pairs.unpacked })
 }
 
 /// Summary of the checked pairs, and why pairs were left out.
-fn told(
+fn notes(
     pairs: &PairFiles,
     looks: usize,
     selection: &Selection,
@@ -83,7 +83,7 @@ fn told(
         pairs.files.len(),
         selection.chosen.len()
     )];
-    lines.extend(pairs.told.iter().cloned());
+    lines.extend(pairs.notes.iter().cloned());
     let mut reasons: Vec<(usize, String)> =
         without.iter().map(|(reason, count)| (*count, (*reason).to_owned())).collect();
     reasons.sort_by_key(|(count, _)| std::cmp::Reverse(*count));
@@ -93,8 +93,8 @@ fn told(
         (selection.nothing_new, "similar to other views".to_owned()),
         (selection.unexplained, "the corners fit no camera model".to_owned()),
     ];
-    let rare: usize = reasons.iter().skip(REASONS_TOLD).map(|(count, _)| count).sum();
-    reasons.truncate(REASONS_TOLD);
+    let rare: usize = reasons.iter().skip(REASONS_LISTED).map(|(count, _)| count).sum();
+    reasons.truncate(REASONS_LISTED);
     reasons.push((rare, "for other reasons".to_owned()));
     let all = more.into_iter().chain(reasons).filter(|(count, _)| *count > 0);
     lines.extend(all.map(|(count, reason)| format!("left out {count}: {reason}")));

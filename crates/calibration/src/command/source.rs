@@ -30,7 +30,7 @@ pub(super) struct PairFiles {
     /// Middle of the left exposure of each pair, s; `None` if the recording states no times.
     pub(super) times_s: Option<Vec<f64>>,
     /// What the user should know.
-    pub(super) told: Vec<String>,
+    pub(super) notes: Vec<String>,
     /// When the newest image was taken, if the recording states it.
     pub(super) date: Option<String>,
     pub(super) unpacked: Option<TempDir>,
@@ -40,11 +40,11 @@ impl PairFiles {
     /// Opens a recording of any kind that `pb3dp track` reads. `wanted` gives the numbers of the pairs that are needed, from the times of all.
     pub(super) fn open(path: &Path, asked: &RecordingOptions, wanted: impl Fn(&[f64]) -> Vec<u64>) -> Result<Self> {
         let mut pairs = RecordedPairs::open(path, asked)?;
-        let told = pairs.take_warnings();
+        let notes = pairs.take_warnings();
         let times_s = pairs.has_times().then(|| pairs.times_s());
         let path = path.to_path_buf();
         if let Some(files) = pairs.files() {
-            return Ok(Self { path, files, times_s, told, date: None, unpacked: None });
+            return Ok(Self { path, files, times_s, notes, date: None, unpacked: None });
         }
         let folder = temporary_folder()?;
         let name = |number: u64| ["left", "right"].map(|side| folder.path().join(format!("{side}_{number:06}.png")));
@@ -68,14 +68,14 @@ impl PairFiles {
         }
         let date = is_bag.then(|| date_of(pairs.exposed_at(pairs.count() - 1))).flatten();
         let files = (0..pairs.count()).map(name).collect();
-        Ok(Self { path, files, times_s, told: [told, pairs.take_notes()].concat(), date, unpacked: Some(folder) })
+        Ok(Self { path, files, times_s, notes: [notes, pairs.take_notes()].concat(), date, unpacked: Some(folder) })
     }
 
     /// The files of a sequence folder, also of one that is being written.
     pub(super) fn of_sequence(sequence: &Sequence) -> Self {
         let files = (0..sequence.frames()).map(|frame| <[PathBuf; 2]>::from(sequence.image_files(frame))).collect();
         let (path, times_s) = (sequence.folder.clone(), Some(sequence.times_s.clone()));
-        Self { path, files, times_s, told: Vec::new(), date: None, unpacked: None }
+        Self { path, files, times_s, notes: Vec::new(), date: None, unpacked: None }
     }
 
     /// The folder to search for the identities of the cameras.

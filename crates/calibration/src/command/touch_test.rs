@@ -15,18 +15,23 @@ use super::DetectedBoards;
 const PLACES_MIN: usize = 3;
 
 /// Positions of the touched corners computed from the cameras, the hand-eye calibration and the stops of a recording.
-pub(super) fn run(known: &Known, seen: &DetectedBoards<2>, hand_eye: &Path, file: &Path) -> Result<Vec<TouchResult>> {
+pub(super) fn run(
+    known: &Known,
+    detected: &DetectedBoards<2>,
+    hand_eye: &Path,
+    file: &Path,
+) -> Result<Vec<TouchResult>> {
     let text = read_text(file).with_context(|| format!("{}: cannot read file", file.display()))?;
     let touches = parse(&text).with_context(|| format!("{}: invalid touch test", file.display()))?;
     let flange_from_cam_left = load_hand_eye(hand_eye)?.flange_from_cam_left;
-    let recorded = seen.stops.as_ref().context("the touch test needs a recording of stops")?;
-    let mut poses: Vec<Isometry3<f64>> = Vec::with_capacity(seen.views.len());
-    for [left, _] in &seen.files {
+    let recorded = detected.stops.as_ref().context("the touch test needs a recording of stops")?;
+    let mut poses: Vec<Isometry3<f64>> = Vec::with_capacity(detected.views.len());
+    for [left, _] in &detected.files {
         let stop = recorded.stops.stops.iter().find(|stop| recorded.folder.join(&stop.left) == *left);
         let stop = stop.with_context(|| format!("{}: no stop has this image", left.display()))?;
         poses.push(*(stop.vs.base_from_flange * flange_from_cam_left).isometry());
     }
-    Ok(touched(&known.rig, &seen.views, &poses, &touches)?)
+    Ok(touched(&known.rig, &detected.views, &poses, &touches)?)
 }
 
 /// `[[touch]]` with `board_corner = [column, row]` and `base_position_mm = [x, y, z]`.
@@ -66,11 +71,11 @@ fn numbers<const N: usize>(table: &toml::Table, number: usize, key: &str) -> Res
 }
 
 /// The result of each point.
-pub(super) fn told(results: &[TouchResult]) -> String {
+pub(super) fn notes(results: &[TouchResult]) -> String {
     let line = |result: &TouchResult| {
         let [column, row] = result.touch.board_corner;
-        let [touched, seen] = [result.touch.in_base_m, result.seen_in_base_m].map(|point| point * 1e3);
-        let apart = seen - touched;
+        let [touched, detected] = [result.touch.in_base_m, result.measured_in_base_m].map(|point| point * 1e3);
+        let apart = detected - touched;
         format!(
             "corner {column},{row}: touched at {:.2}, {:.2}, {:.2} mm in base, position error {:.2} mm ({:+.2}, {:+.2}, {:+.2}; {} stops, scatter {:.2} mm)",
             touched.x,

@@ -60,8 +60,8 @@ pub(super) struct VerifyArgs {
 /// Runs the command; a calibration refused by a check is a failure.
 pub(super) fn run(args: &VerifyArgs) -> Result<ExitCode> {
     let limits = gates_file::read(args.limits.as_deref(), Limits::of_checks())?;
-    let seen = args.pairs.are_given().then(|| args.seen()).transpose()?;
-    let calibration = args.calibration(seen.as_ref())?;
+    let detected = args.pairs.are_given().then(|| args.detected()).transpose()?;
+    let calibration = args.calibration(detected.as_ref())?;
     let known = known(&calibration);
     let depth_m = args.distance * 1e-3;
     let made = calibration.judgement.as_ref().map_or_else(String::new, |judgement| format!(", of {}", judgement.date));
@@ -72,18 +72,18 @@ pub(super) fn run(args: &VerifyArgs) -> Result<ExitCode> {
     let mut gates = Vec::new();
     // Squared contributions to the hand error, m^2: the measured ones, and the one from the covariance of the calibration.
     let mut hand_m2 = depth_sigma_m(&known, depth_m).map_or(0.0, |sigma_m| sigma_m.powi(2));
-    if let Some((seen, board)) = &seen {
-        tell(&seen.told)?;
-        check_squares(&known.rig, seen.views.iter().map(|view| &view.sightings), board)?;
-        let checked = check(&known.rig, &seen.views, board)?;
+    if let Some((detected, board)) = &detected {
+        tell(&detected.notes)?;
+        check_squares(&known.rig, detected.views.iter().map(|view| &view.sightings), board)?;
+        let checked = check(&known.rig, &detected.views, board)?;
         tell(&of_views(&checked, depth_m))?;
         let scale = checked.scale_at(depth_m);
         hand_m2 += ((scale.scale - 1.0).powi(2) + scale.sigma.powi(2)) * depth_m * depth_m;
         gates.push(limits.judge(REPROJECTION, checked.reprojection_rms_px));
         gates.push(limits.judge(ROWS, checked.rows.rms_px));
         gates.push(limits.judge(SCALE, 100.0 * (scale.scale - 1.0).abs()));
-        gates.extend(args.ruler(&known, seen, &limits)?);
-        gates.extend(args.touched(&known, seen, &limits)?);
+        gates.extend(args.ruler(&known, detected, &limits)?);
+        gates.extend(args.touched(&known, detected, &limits)?);
     }
     if let Some(other) = &args.against {
         let second = load_stereo(std::slice::from_ref(other))
@@ -133,16 +133,16 @@ fn known(calibration: &StereoCalibration) -> Known {
 
 impl VerifyArgs {
     /// The calibration, as the user states it; the views decide the image size and the lens model if the file does not.
-    fn calibration(&self, seen: Option<&(DetectedBoards<2>, Chessboard)>) -> Result<StereoCalibration> {
+    fn calibration(&self, detected: Option<&(DetectedBoards<2>, Chessboard)>) -> Result<StereoCalibration> {
         let files = std::slice::from_ref(&self.calibration);
         let stated = self.pairs.how.calibration.stated();
-        let calibration = load_stated(files, seen.map(|(seen, _)| seen.size), &stated)?;
-        let Some((seen, board)) = seen else { return Ok(calibration.decided()?) };
-        check_size(&calibration, seen.size)?;
-        Ok(decide_lens(calibration, &seen.views, board)?)
+        let calibration = load_stated(files, detected.map(|(detected, _)| detected.size), &stated)?;
+        let Some((detected, board)) = detected else { return Ok(calibration.decided()?) };
+        check_size(&calibration, detected.size)?;
+        Ok(decide_lens(calibration, &detected.views, board)?)
     }
 
-    fn seen(&self) -> Result<(DetectedBoards<2>, Chessboard)> {
+    fn detected(&self) -> Result<(DetectedBoards<2>, Chessboard)> {
         let [columns, rows] = self.board.context("--board is required with images, for example 9x6")?;
         let square_mm = self.square.context("--square is required with images: the side of a square, mm")?;
         let board = Chessboard::new(columns, rows, square_mm * 1e-3)?;
@@ -150,18 +150,18 @@ impl VerifyArgs {
     }
 
     /// Check with corners touched by the arm.
-    fn touched(&self, known: &Known, seen: &DetectedBoards<2>, limits: &Limits) -> Result<Option<Judged>> {
+    fn touched(&self, known: &Known, detected: &DetectedBoards<2>, limits: &Limits) -> Result<Option<Judged>> {
         let (Some(file), Some(hand_eye)) = (&self.touch, &self.hand_eye) else { return Ok(None) };
-        let results = touch_test::run(known, seen, hand_eye, file)?;
-        tell(&touch_test::told(&results))?;
+        let results = touch_test::run(known, detected, hand_eye, file)?;
+        tell(&touch_test::notes(&results))?;
         let worst_m = results.iter().map(TouchResult::error_m).fold(0.0, f64::max);
         Ok(Some(limits.judge(TOUCH, worst_m * 1e3)))
     }
 
     /// Check with a length measured with a ruler.
-    fn ruler(&self, known: &Known, seen: &DetectedBoards<2>, limits: &Limits) -> Result<Option<Judged>> {
+    fn ruler(&self, known: &Known, detected: &DetectedBoards<2>, limits: &Limits) -> Result<Option<Judged>> {
         let (Some([from, to]), Some(length_mm)) = (self.corners.as_deref(), self.length) else { return Ok(None) };
-        let lengths_m = lengths_m(&known.rig, &seen.views, [*from, *to])?;
+        let lengths_m = lengths_m(&known.rig, &detected.views, [*from, *to])?;
         let count = lengths_m.len() as f64;
         let mean_mm = lengths_m.iter().sum::<f64>() / count * 1e3;
         let scatter_mm = (lengths_m.iter().map(|m| (m * 1e3 - mean_mm).powi(2)).sum::<f64>() / count).sqrt();

@@ -26,13 +26,13 @@ pub enum NoBoard {
     None,
     /// A grid of another size.
     #[error(
-        "a grid of {seen_columns} x {seen_rows} corners was detected, the board has {columns} x {rows}; show the whole board, or correct its numbers of inner corners"
+        "a grid of {covered_columns} x {covered_rows} corners was detected, the board has {columns} x {rows}; show the whole board, or correct its numbers of inner corners"
     )]
     Size {
         /// Corners along the longer side of the detected grid.
-        seen_columns: u32,
+        covered_columns: u32,
         /// Corners along the other side.
-        seen_rows: u32,
+        covered_rows: u32,
         /// Columns of the board.
         columns: u32,
         /// Rows of the board.
@@ -45,21 +45,21 @@ pub enum NoBoard {
     Markers,
     /// Too little of a board with markers is visible.
     #[error(
-        "only {seen} of the board's {all} corners have readable markers, at least {least} in 3 columns and 3 rows are needed; show more of the board, or move it nearer"
+        "only {detected} of the board's {all} corners have readable markers, at least {least} in 3 columns and 3 rows are needed; show more of the board, or move it nearer"
     )]
     Few {
         /// Detected corners.
-        seen: usize,
+        detected: usize,
         /// Corners of the board.
         all: usize,
         /// The smallest number.
         least: usize,
     },
     /// The grid has holes.
-    #[error("only {seen} of the board's {all} corners were detected; uncover the board, or avoid glare on it")]
+    #[error("only {detected} of the board's {all} corners were detected; uncover the board, or avoid glare on it")]
     Gaps {
         /// Detected corners.
-        seen: usize,
+        detected: usize,
         /// Corners of the board.
         all: usize,
     },
@@ -68,7 +68,7 @@ pub enum NoBoard {
 /// Smaller images are rejected; the corner detector panics on empty images (chess-corners-core 2.1.0).
 const SIDE_MIN_PX: u32 = 32;
 /// Minimum share of a chessboard's corners that must be detected.
-const SEEN_SHARE_MIN: f64 = 0.8;
+const DETECTED_SHARE_MIN: f64 = 0.8;
 
 /// Minimum number of corners for a board with markers.
 const CODED_MIN: usize = 12;
@@ -132,9 +132,9 @@ fn enough(corners: Vec<BoardCorner>, board: &Board) -> Result<Sighting, NoBoard>
         all.dedup();
         all.len()
     };
-    let (seen, least) = (sighting.corners().len(), CODED_MIN.min(board.corner_count()));
-    if seen < least || different(|corner| corner.column) < 3 || different(|corner| corner.row) < 3 {
-        return Err(NoBoard::Few { seen, all: board.corner_count(), least });
+    let (detected, least) = (sighting.corners().len(), CODED_MIN.min(board.corner_count()));
+    if detected < least || different(|corner| corner.column) < 3 || different(|corner| corner.row) < 3 {
+        return Err(NoBoard::Few { detected, all: board.corner_count(), least });
     }
     Ok(sighting)
 }
@@ -163,7 +163,7 @@ fn find_chessboard_by(image: &GrayImage, board: &Chessboard, localizer: Localize
     });
     let grid = grids.max_by_key(|grid| grid.corners.len()).ok_or(NoBoard::None)?;
     let sighting = placed(&grid, board)?;
-    if board.is_told_from_its_half_turn() && !first_square_is_dark(image, &sighting) {
+    if board.has_unique_orientation() && !first_square_is_dark(image, &sighting) {
         return Ok(sighting.half_turned(board));
     }
     Ok(sighting)
@@ -186,19 +186,19 @@ fn placed(grid: &ChessboardDetection, board: &Chessboard) -> Result<Sighting, No
             parts.push((coordinates().filter(|at| part.holds(*at)).count(), part));
         }
     }
-    parts.sort_by_key(|(seen, _)| std::cmp::Reverse(*seen));
+    parts.sort_by_key(|(detected, _)| std::cmp::Reverse(*detected));
     let all = board.corner_count();
-    let (seen, part) = match parts.as_slice() {
-        [(seen, part)] => (*seen, part),
+    let (detected, part) = match parts.as_slice() {
+        [(detected, part)] => (*detected, part),
         // Exactly one of several candidate parts must be complete.
-        [(seen, part), (next, _), ..] if *seen == all && *next < all => (*seen, part),
+        [(detected, part), (next, _), ..] if *detected == all && *next < all => (*detected, part),
         _ => {
-            let (seen_columns, seen_rows) = (across.max(down).unsigned_abs(), across.min(down).unsigned_abs());
-            return Err(NoBoard::Size { seen_columns, seen_rows, columns: board.columns(), rows: board.rows() });
+            let (covered_columns, covered_rows) = (across.max(down).unsigned_abs(), across.min(down).unsigned_abs());
+            return Err(NoBoard::Size { covered_columns, covered_rows, columns: board.columns(), rows: board.rows() });
         }
     };
-    if (seen as f64) < SEEN_SHARE_MIN * all as f64 {
-        return Err(NoBoard::Gaps { seen, all });
+    if (detected as f64) < DETECTED_SHARE_MIN * all as f64 {
+        return Err(NoBoard::Gaps { detected, all });
     }
     let inside = grid.corners.iter().filter(|corner| part.holds((corner.grid.u, corner.grid.v)));
     let corners = inside.map(|corner| {
@@ -307,14 +307,14 @@ mod tests {
     }
 
     #[test]
-    fn another_board_is_told_by_its_numbers() {
+    fn another_board_is_recognised_by_its_numbers() {
         let board = Chessboard::new(9, 6, 0.02).expect("a board");
         let refusal = find_chessboard(&drawn(24, true), &board).expect_err("another board");
-        assert_eq!(refusal, NoBoard::Size { seen_columns: 5, seen_rows: 4, columns: 9, rows: 6 });
+        assert_eq!(refusal, NoBoard::Size { covered_columns: 5, covered_rows: 4, columns: 9, rows: 6 });
         // A smaller board fits into a larger one at several positions.
         let smaller = Chessboard::new(4, 3, 0.02).expect("a board");
         let refusal = find_chessboard(&drawn(24, true), &smaller).expect_err("a larger board");
-        assert_eq!(refusal, NoBoard::Size { seen_columns: 5, seen_rows: 4, columns: 4, rows: 3 });
+        assert_eq!(refusal, NoBoard::Size { covered_columns: 5, covered_rows: 4, columns: 4, rows: 3 });
         assert_eq!(find_chessboard(&GrayImage::new(320, 240), &board), Err(NoBoard::None));
         for (width, height) in [(0, 0), (1, 1), (32, 32), (4, 2000)] {
             assert_eq!(

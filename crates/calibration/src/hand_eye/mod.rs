@@ -84,11 +84,11 @@ pub struct Given<'a> {
 pub enum HandEyeError {
     /// Too few stops.
     #[error(
-        "only {seen} stops at which both cameras see the board, at least {STOPS_MIN} are needed, 15 are good; visit more poses"
+        "only {observations} stops at which both cameras see the board, at least {STOPS_MIN} are needed, 15 are good; visit more poses"
     )]
     Stops {
         /// Usable stops.
-        seen: usize,
+        observations: usize,
     },
     /// A board that is symmetric under a half turn.
     #[error(
@@ -257,23 +257,23 @@ impl HandEyeFit {
             return Err(HandEyeError::Robot { translation_mm, rotation_deg });
         }
         let board = given.board;
-        if !board.is_told_from_its_half_turn() {
+        if !board.has_unique_orientation() {
             return Err(HandEyeError::Board { columns: board.columns(), rows: board.rows() });
         }
         if stops.len() < STOPS_MIN {
-            return Err(HandEyeError::Stops { seen: stops.len() });
+            return Err(HandEyeError::Stops { observations: stops.len() });
         }
-        let seen = seen(stops)?;
+        let observations = observations(stops)?;
         let robot_information = {
             let (t, r) = (translation_m.powi(-2), rotation_rad.powi(-2));
             nalgebra::Matrix6::from_diagonal(&Vector6::new(t, t, t, r, r, r))
         };
         let setting = Setting { rig: given.rig, board, corner_sigma_px: 1.0, robot_information, scales_free: true };
-        let alone = seen.iter().zip(stops).map(|(seen, stop)| alone(seen, stop, &setting));
+        let alone = observations.iter().zip(stops).map(|(observations, stop)| alone(observations, stop, &setting));
         let alone = alone.collect::<Result<Vec<_>, _>>()?;
         let setting = Setting { corner_sigma_px: corner_sigma_px(alone.iter().map(|(_, corners)| corners)), ..setting };
-        let checked = outliers::settle(&seen, &alone, &setting)?;
-        let all = All { stops, seen: &seen, alone: &alone };
+        let checked = outliers::settle(&observations, &alone, &setting)?;
+        let all = All { stops, observations: &observations, alone: &alone };
         Self::of(&all, checked, &setting, given.rig_covariance)
     }
 
@@ -284,23 +284,24 @@ impl HandEyeFit {
         setting: &Setting<'_>,
         rig_covariance: Option<&CalibrationCovariance>,
     ) -> Result<Self, HandEyeError> {
-        let used: Vec<usize> = (0..all.seen.len()).filter(|index| checked.used[*index]).collect();
-        let seen: Vec<StopObservation<'_>> = used.iter().map(|index| all.seen[*index].clone()).collect();
+        let used: Vec<usize> = (0..all.observations.len()).filter(|index| checked.used[*index]).collect();
+        let observations: Vec<StopObservation<'_>> =
+            used.iter().map(|index| all.observations[*index].clone()).collect();
         let scales = scales(&checked.adjusted, checked.variance_factor, setting)?;
         let fixed = Setting { scales_free: false, ..setting.clone() };
         let start = State { scales: [1.0; SCALES], ..checked.adjusted.state };
-        let adjusted = adjust(start, &seen, &fixed)?;
+        let adjusted = adjust(start, &observations, &fixed)?;
         let squares_alone: f64 = used.iter().map(|index| all.alone[*index].1.squares).sum();
         let factor = outliers::variance_factor(&adjusted, squares_alone, &fixed);
         let by_stops = adjusted.covariance_without(None, &fixed)? * factor;
-        let by_rest = uncertain::rest_directions(&adjusted.state, &seen, &fixed, factor)?;
+        let by_rest = uncertain::rest_directions(&adjusted.state, &observations, &fixed, factor)?;
         let by_stops = by_rest.iter().fold(by_stops, |sum, step| sum + step * step.transpose());
         let by_head =
-            rig_covariance.map(|covariance| uncertain::directions(&adjusted.state, &seen, &fixed, covariance));
+            rig_covariance.map(|covariance| uncertain::directions(&adjusted.state, &observations, &fixed, covariance));
         let by_head = by_head.transpose()?.unwrap_or_default();
         let steps = by_head.iter().map(Direction::step);
         let covariance = steps.fold(by_stops.clone(), |sum, step| sum + &step * step.transpose());
-        let checks = outliers::checks(all.seen, all.alone, &checked.used, &adjusted, &fixed)?;
+        let checks = outliers::checks(all.observations, all.alone, &checked.used, &adjusted, &fixed)?;
         let state = adjusted.state;
         let mut reports = Vec::with_capacity(all.stops.len());
         let (mut squares, mut count) = (0.0, 0_usize);
@@ -308,7 +309,7 @@ impl HandEyeFit {
             let at = used.iter().position(|used| *used == index);
             let of_stop = at.map(|at| {
                 let cam_from_board = state.cam_from_board(&state.arms[at]);
-                (all.seen[index].squares(&fixed, &cam_from_board, state.scales), all.alone[index].1.count)
+                (all.observations[index].squares(&fixed, &cam_from_board, state.scales), all.alone[index].1.count)
             });
             squares += of_stop.map_or(0.0, |(squares, _)| squares);
             count += of_stop.map_or(0, |(_, count)| count);
@@ -332,7 +333,7 @@ impl HandEyeFit {
             corner_rms_px: (squares / count.max(1) as f64).sqrt(),
             robot_noise_ratio: factor.sqrt(),
             scales,
-            rotation_spread_deg: spread_deg(&seen),
+            rotation_spread_deg: spread_deg(&observations),
             state,
         })
     }
@@ -390,14 +391,15 @@ impl HandEyeFit {
 /// The stops in all three representations.
 struct All<'a> {
     stops: &'a [HandEyeStop],
-    seen: &'a [StopObservation<'a>],
+    observations: &'a [StopObservation<'a>],
     alone: &'a [(Poses, Corners)],
 }
 
 /// The board pose in the left camera from the corners in both images; `None` if no pose fits them.
 pub fn place_board(rig: &StereoRig, board: &Chessboard, sightings: &[Sighting; 2]) -> Option<Pose<CamLeft, Board>> {
     let [left, right] = sightings;
-    let seen = StopObservation { sightings: [left, right], vs: Isometry3::identity(), tc: None, rests: [None; 2] };
+    let observations =
+        StopObservation { sightings: [left, right], vs: Isometry3::identity(), tc: None, rests: [None; 2] };
     let setting = Setting {
         rig,
         board,
@@ -405,7 +407,7 @@ pub fn place_board(rig: &StereoRig, board: &Chessboard, sightings: &[Sighting; 2
         robot_information: nalgebra::Matrix6::identity(),
         scales_free: false,
     };
-    let (cam_from_board, _) = seen.by_itself(&setting, board_pose(rig.left(), left, board)?, [1.0; SCALES])?;
+    let (cam_from_board, _) = observations.by_itself(&setting, board_pose(rig.left(), left, board)?, [1.0; SCALES])?;
     // Initial pose for the projection of the corners.
     Some(Pose::from_isometry(cam_from_board))
 }
@@ -417,9 +419,9 @@ pub fn tc_has_moved(stops: &[HandEyeStop]) -> bool {
     poses.any(|pose| !rests(first.isometry(), pose.isometry()))
 }
 
-fn seen(stops: &[HandEyeStop]) -> Result<Vec<StopObservation<'_>>, HandEyeError> {
+fn observations(stops: &[HandEyeStop]) -> Result<Vec<StopObservation<'_>>, HandEyeError> {
     let carried = tc_has_moved(stops);
-    let mut seen = Vec::with_capacity(stops.len());
+    let mut observations = Vec::with_capacity(stops.len());
     for stop in stops {
         let tc = match (carried, stop.tc_base_from_tc_flange) {
             (true, None) => return Err(HandEyeError::NoTc { stop: stop.name.clone() }),
@@ -427,44 +429,47 @@ fn seen(stops: &[HandEyeStop]) -> Result<Vec<StopObservation<'_>>, HandEyeError>
             (false, _) => None,
         };
         let [left, right] = &stop.sightings;
-        seen.push(StopObservation {
+        observations.push(StopObservation {
             sightings: [left, right],
             vs: *stop.base_from_flange.isometry(),
             tc,
             rests: [None; 2],
         });
     }
-    let places = [places(&seen, |seen| Some(seen.vs)), places(&seen, |seen| seen.tc)];
-    for (index, seen) in seen.iter_mut().enumerate() {
-        seen.rests = [0, 1].map(|arm| places[arm][index]);
+    let places = [
+        places(&observations, |observations| Some(observations.vs)),
+        places(&observations, |observations| observations.tc),
+    ];
+    for (index, observations) in observations.iter_mut().enumerate() {
+        observations.rests = [0, 1].map(|arm| places[arm][index]);
     }
-    Ok(seen)
+    Ok(observations)
 }
 
 /// For each stop, the number of the first stop with the same arm pose, if several stops share the pose.
 fn places(
-    seen: &[StopObservation<'_>],
+    observations: &[StopObservation<'_>],
     pose: impl Fn(&StopObservation<'_>) -> Option<Isometry3<f64>>,
 ) -> Vec<Option<usize>> {
     let first = |stop: &StopObservation<'_>| {
         let here = pose(stop)?;
-        seen.iter().position(|other| pose(other).is_some_and(|there| rests(&here, &there)))
+        observations.iter().position(|other| pose(other).is_some_and(|there| rests(&here, &there)))
     };
-    let firsts: Vec<Option<usize>> = seen.iter().map(first).collect();
+    let firsts: Vec<Option<usize>> = observations.iter().map(first).collect();
     let several = |place: &Option<usize>| firsts.iter().filter(|other| *other == place).count() > 1;
     firsts.iter().map(|place| place.filter(|_| several(place))).collect()
 }
 
 /// The board pose from the corners of one stop only.
 fn alone(
-    seen: &StopObservation<'_>,
+    observations: &StopObservation<'_>,
     stop: &HandEyeStop,
     setting: &Setting<'_>,
 ) -> Result<(Poses, Corners), HandEyeError> {
     let unplaced = || HandEyeError::Unplaced { stop: stop.name.clone() };
-    let guess = board_pose(setting.rig.left(), seen.sightings[0], setting.board).ok_or_else(unplaced)?;
-    let (cam_from_board, corners) = seen.by_itself(setting, guess, [1.0; SCALES]).ok_or_else(unplaced)?;
-    Ok((Poses { vs: seen.vs, tc: seen.tc, cam_from_board }, corners))
+    let guess = board_pose(setting.rig.left(), observations.sightings[0], setting.board).ok_or_else(unplaced)?;
+    let (cam_from_board, corners) = observations.by_itself(setting, guess, [1.0; SCALES]).ok_or_else(unplaced)?;
+    Ok((Poses { vs: observations.vs, tc: observations.tc, cam_from_board }, corners))
 }
 
 /// Standard deviation of a corner from independent fits of each stop, px.
@@ -487,9 +492,9 @@ fn scales(adjusted: &Adjusted, factor: f64, setting: &Setting<'_>) -> Result<Sca
 }
 
 /// Rotations about the second axis, of the arm that rotated least.
-fn spread_deg(seen: &[StopObservation<'_>]) -> f64 {
-    let vs: Vec<Isometry3<f64>> = seen.iter().map(|seen| seen.vs).collect();
-    let tc: Vec<Isometry3<f64>> = seen.iter().filter_map(|seen| seen.tc).collect();
+fn spread_deg(observations: &[StopObservation<'_>]) -> f64 {
+    let vs: Vec<Isometry3<f64>> = observations.iter().map(|observations| observations.vs).collect();
+    let tc: Vec<Isometry3<f64>> = observations.iter().filter_map(|observations| observations.tc).collect();
     let of_vs = rotation_spread_deg(&vs);
     if tc.is_empty() { of_vs } else { of_vs.min(rotation_spread_deg(&tc)) }
 }

@@ -248,7 +248,7 @@ impl StopObservation<'_> {
     ) -> f64 {
         let right_from_left = setting.rig.cam_right_from_cam_left();
         let error = |camera: &Camera, in_cam: &Point3<f64>, pixel: Vector2<f64>| {
-            camera.project(in_cam).map_or(f64::INFINITY, |seen| (seen - pixel).norm_squared())
+            camera.project(in_cam).map_or(f64::INFINITY, |projected| (projected - pixel).norm_squared())
         };
         let mut sum = 0.0;
         for (side, sighting) in self.sightings.iter().enumerate() {

@@ -39,24 +39,24 @@ pub(super) fn variance_factor(adjusted: &Adjusted, squares_alone: f64, setting: 
 /// removed, as long as this difference exceeds that of one in a thousand good stops. A removed stop is restored once it agrees.
 /// If the arms are noisier than stated, all differences are compared with the typical difference among the stops.
 pub(super) fn settle(
-    seen: &[StopObservation<'_>],
+    observations: &[StopObservation<'_>],
     alone: &[(Poses, Corners)],
     setting: &Setting<'_>,
 ) -> Result<Settled, HandEyeError> {
     let poses: Vec<Poses> = alone.iter().map(|(poses, _)| *poses).collect();
     let first = start(&poses)?;
     let mut used = near_start(&first, &poses);
-    let mut left_out = vec![0_usize; seen.len()];
+    let mut left_out = vec![0_usize; observations.len()];
     let mut is_first = true;
     loop {
         let agree = used.iter().filter(|used| **used).count();
-        if (agree as f64) < (MAJORITY * seen.len() as f64).max(super::STOPS_MIN as f64) {
-            return Err(HandEyeError::Contradiction { agree, all: seen.len() });
+        if (agree as f64) < (MAJORITY * observations.len() as f64).max(super::STOPS_MIN as f64) {
+            return Err(HandEyeError::Contradiction { agree, all: observations.len() });
         }
-        let (adjusted, alone, checks) = match checked(&first, seen, alone, &used, setting) {
+        let (adjusted, alone, checks) = match checked(&first, observations, alone, &used, setting) {
             // The stops nearest to the start may belong to one arm only, or rotate about one axis.
-            Err(_) if is_first && agree < seen.len() => {
-                (used, is_first) = (vec![true; seen.len()], false);
+            Err(_) if is_first && agree < observations.len() => {
+                (used, is_first) = (vec![true; observations.len()], false);
                 continue;
             }
             checked => checked?,
@@ -91,14 +91,14 @@ type Checked = (Adjusted, Vec<(Poses, Corners)>, Vec<Difference>);
 
 fn checked(
     first: &State,
-    seen: &[StopObservation<'_>],
+    observations: &[StopObservation<'_>],
     alone: &[(Poses, Corners)],
     used: &[bool],
     setting: &Setting<'_>,
 ) -> Result<Checked, HandEyeError> {
-    let adjusted = adjust(only(first, used), &only_seen(seen, used), setting)?;
-    let alone = with_scales(seen, alone, adjusted.state.scales, setting)?;
-    let checks = checks(seen, &alone, used, &adjusted, setting)?;
+    let adjusted = adjust(only(first, used), &only_detected(observations, used), setting)?;
+    let alone = with_scales(observations, alone, adjusted.state.scales, setting)?;
+    let checks = checks(observations, &alone, used, &adjusted, setting)?;
     Ok((adjusted, alone, checks))
 }
 
@@ -113,16 +113,16 @@ fn usual(checks: &[Difference], used: &[bool]) -> f64 {
 
 /// The board pose from each stop alone, with the lengths of an adjustment.
 fn with_scales(
-    seen: &[StopObservation<'_>],
+    observations: &[StopObservation<'_>],
     alone: &[(Poses, Corners)],
     scales: [f64; SCALES],
     setting: &Setting<'_>,
 ) -> Result<Vec<(Poses, Corners)>, HandEyeError> {
-    let of = |(seen, (poses, _)): (&StopObservation<'_>, &(Poses, Corners))| {
-        let (cam_from_board, corners) = seen.by_itself(setting, poses.cam_from_board, scales)?;
+    let of = |(observations, (poses, _)): (&StopObservation<'_>, &(Poses, Corners))| {
+        let (cam_from_board, corners) = observations.by_itself(setting, poses.cam_from_board, scales)?;
         Some((Poses { cam_from_board, ..*poses }, corners))
     };
-    seen.iter().zip(alone).map(of).collect::<Option<Vec<_>>>().ok_or(HandEyeError::NotVisible)
+    observations.iter().zip(alone).map(of).collect::<Option<Vec<_>>>().ok_or(HandEyeError::NotVisible)
 }
 
 /// The stops nearest to the start.
@@ -145,8 +145,8 @@ fn only(state: &State, used: &[bool]) -> State {
     State { arms, ..state.clone() }
 }
 
-fn only_seen<'a>(seen: &[StopObservation<'a>], used: &[bool]) -> Vec<StopObservation<'a>> {
-    seen.iter().zip(used).filter(|(_, used)| **used).map(|(seen, _)| seen.clone()).collect()
+fn only_detected<'a>(observations: &[StopObservation<'a>], used: &[bool]) -> Vec<StopObservation<'a>> {
+    observations.iter().zip(used).filter(|(_, used)| **used).map(|(observations, _)| observations.clone()).collect()
 }
 
 /// Compares each stop with the calibration from all (other) used stops.
@@ -154,15 +154,15 @@ fn only_seen<'a>(seen: &[StopObservation<'a>], used: &[bool]) -> Vec<StopObserva
 /// The calibration without the stop is approximated by one step of the equations of the other stops. With many stops and small
 /// contradictions the equations are the same there.
 pub(super) fn checks(
-    seen: &[StopObservation<'_>],
+    observations: &[StopObservation<'_>],
     alone: &[(Poses, Corners)],
     used: &[bool],
     adjusted: &Adjusted,
     setting: &Setting<'_>,
 ) -> Result<Vec<Difference>, HandEyeError> {
     let mut at = 0;
-    let mut checks = Vec::with_capacity(seen.len());
-    for (((seen, (poses, corners)), used), index) in seen.iter().zip(alone).zip(used).zip(0..) {
+    let mut checks = Vec::with_capacity(observations.len());
+    for (((observations, (poses, corners)), used), index) in observations.iter().zip(alone).zip(used).zip(0..) {
         let (state, covariance) = if *used {
             let covariance = adjusted.covariance_without(Some(at), setting)?;
             let state = adjusted.state.moved(&(&covariance * &adjusted.gradients[at]));
@@ -171,14 +171,14 @@ pub(super) fn checks(
         } else {
             (adjusted.state.clone(), adjusted.covariance_without(None, setting)?)
         };
-        let arms = seen.arms();
+        let arms = observations.arms();
         let links = state.links(&arms);
         let by = se3::log(&(poses.cam_from_board.inverse() * state.cam_from_board(&arms)));
         let of_poses = covariance.view((0, 0), (links.shared.ncols(), links.shared.ncols()));
         let mut of_difference: DMatrix<f64> = &links.shared * of_poses * links.shared.transpose();
         for arm in 0..arms.len() {
             let block = links.arms.columns(POSE * arm, POSE);
-            let information = seen.robot_information(arm, setting);
+            let information = observations.robot_information(arm, setting);
             let robot = information.cholesky().map(|factor| factor.inverse()).unwrap_or_else(Matrix6::zeros);
             of_difference += block * robot * block.transpose();
         }

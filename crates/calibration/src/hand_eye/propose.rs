@@ -100,12 +100,13 @@ pub fn propose(
         let distance_mm = request.distance_m * 1e3;
         return Err(ProposeError::TooFew { found: chosen.len(), wanted: request.count, distance_mm });
     }
-    let mut seen: Vec<usize> = chosen.iter().flat_map(|index| candidates[*index].cells.iter().copied()).collect();
-    seen.sort_unstable();
-    seen.dedup();
+    let mut covered: Vec<usize> = chosen.iter().flat_map(|index| candidates[*index].cells.iter().copied()).collect();
+    covered.sort_unstable();
+    covered.dedup();
     let cells = CELLS[0] * CELLS[1];
-    let share =
-        |of_side: &dyn Fn(&usize) -> bool| seen.iter().filter(|cell| of_side(cell)).count() as f64 / f64::from(cells);
+    let share = |of_side: &dyn Fn(&usize) -> bool| {
+        covered.iter().filter(|cell| of_side(cell)).count() as f64 / f64::from(cells)
+    };
     let coverage = [share(&|index| *index < cells as usize), share(&|index| *index >= cells as usize)];
     let poses = chosen.iter().map(|index| candidates[*index].cam_from_board).collect();
     // Board poses in the left camera frame.
@@ -250,19 +251,19 @@ fn candidate(rig: &StereoRig, board: &Chessboard, cam_from_board: Isometry3<f64>
 /// Greedy selection by new image cells and new orientations.
 fn choose(candidates: &[Candidate], count: usize) -> Vec<usize> {
     let cells = 2 * (CELLS[0] * CELLS[1]) as usize;
-    let mut seen = vec![false; cells];
+    let mut covered = vec![false; cells];
     let mut nearest = vec![f64::INFINITY; candidates.len()];
     let mut chosen: Vec<usize> = Vec::new();
     while chosen.len() < count.min(candidates.len()) {
         let worth = |index: usize| {
-            let new = candidates[index].cells.iter().filter(|cell| !seen[**cell]).count() as f64;
+            let new = candidates[index].cells.iter().filter(|cell| !covered[**cell]).count() as f64;
             let orientation = (nearest[index] / NEW_ORIENTATION_RAD).min(1.0);
             new + NEW_ORIENTATION_CELLS * orientation
         };
         let left = (0..candidates.len()).filter(|index| !chosen.contains(index));
         let Some(best) = left.max_by(|a, b| worth(*a).total_cmp(&worth(*b))) else { break };
         for cell in &candidates[best].cells {
-            seen[*cell] = true;
+            covered[*cell] = true;
         }
         for (nearest, candidate) in nearest.iter_mut().zip(candidates) {
             let rotation = candidate.cam_from_board.rotation;

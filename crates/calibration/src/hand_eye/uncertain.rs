@@ -70,7 +70,7 @@ impl Direction {
 /// The uncertain directions of the stereo rig, each perturbed by one standard deviation to either side and readjusted.
 pub(super) fn directions(
     state: &State,
-    seen: &[StopObservation<'_>],
+    observations: &[StopObservation<'_>],
     setting: &Setting<'_>,
     covariance: &CalibrationCovariance,
 ) -> Result<Vec<Direction>, HandEyeError> {
@@ -87,7 +87,7 @@ pub(super) fn directions(
         let moved = |sign: f64| -> Result<(StereoRig, State), HandEyeError> {
             let moved = head.moved(&(&step * sign), &[]).ok().and_then(|head| rig_of(&head).ok());
             let Some(rig) = moved else { return Err(HandEyeError::NotVisible) };
-            let state = adjust(state.clone(), seen, &Setting { rig: &rig, ..setting.clone() })?.state;
+            let state = adjust(state.clone(), observations, &Setting { rig: &rig, ..setting.clone() })?.state;
             Ok((rig, state))
         };
         directions.push(Direction { sides: [moved(-1.0)?, moved(1.0)?] });
@@ -100,22 +100,22 @@ pub(super) fn directions(
 /// factor of the arms.
 pub(super) fn rest_directions(
     state: &State,
-    seen: &[StopObservation<'_>],
+    observations: &[StopObservation<'_>],
     setting: &Setting<'_>,
     factor: f64,
 ) -> Result<Vec<DVector<f64>>, HandEyeError> {
     let mut steps = Vec::new();
     for arm in 0..state.place.arm_count() {
-        let mut places: Vec<usize> = seen.iter().filter_map(|stop| stop.rests[arm]).collect();
+        let mut places: Vec<usize> = observations.iter().filter_map(|stop| stop.rests[arm]).collect();
         places.sort_unstable();
         places.dedup();
         for (place, number) in places.into_iter().flat_map(|place| (0..POSE).map(move |number| (place, number))) {
             let sigma = (factor / setting.robot_information[(number, number)]).sqrt();
             let moved = |sign: f64| -> Result<State, HandEyeError> {
                 let by = se3::exp(&Vector6::ith(number, sign * sigma));
-                let (mut state, mut seen) = (state.clone(), seen.to_vec());
+                let (mut state, mut observations) = (state.clone(), observations.to_vec());
                 for (stop, corrected) in
-                    seen.iter_mut().zip(&mut state.arms).filter(|(stop, _)| stop.rests[arm] == Some(place))
+                    observations.iter_mut().zip(&mut state.arms).filter(|(stop, _)| stop.rests[arm] == Some(place))
                 {
                     match (arm, &mut stop.tc) {
                         (0, _) => stop.vs *= by,
@@ -124,7 +124,7 @@ pub(super) fn rest_directions(
                     }
                     corrected[arm] *= by;
                 }
-                Ok(adjust(state, &seen, setting)?.state)
+                Ok(adjust(state, &observations, setting)?.state)
             };
             steps.push(difference(&moved(-1.0)?, &moved(1.0)?) * 0.5);
         }

@@ -207,12 +207,12 @@ pub fn length_ratio<'a>(
 ) -> Option<f64> {
     let mut ratios = Vec::new();
     for [left, right] in views {
-        let seen =
+        let visible =
             |column: u32, row: u32| triangulate(rig, &left.at(column, row)?.pixel, &right.at(column, row)?.pixel);
         for corner in left.corners() {
             let (column, row) = (corner.column, corner.row);
             for (next_column, next_row) in [(column + 1, row), (column, row + 1)] {
-                let Some((here, there)) = seen(column, row).zip(seen(next_column, next_row)) else { continue };
+                let Some((here, there)) = visible(column, row).zip(visible(next_column, next_row)) else { continue };
                 let stated_m =
                     (board.corner_in_board(next_column, next_row) - board.corner_in_board(column, row)).norm();
                 ratios.push((there - here).norm() / stated_m);

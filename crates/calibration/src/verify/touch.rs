@@ -21,7 +21,7 @@ pub struct TouchResult {
     /// The touched corner.
     pub touch: Touch,
     /// Position computed from the cameras, in `base`, metres: the mean of all stops.
-    pub seen_in_base_m: Point3<f64>,
+    pub measured_in_base_m: Point3<f64>,
     /// Root mean square scatter of the stops, metres.
     pub scatter_m: f64,
     /// Stops at which both cameras saw the corner.
@@ -31,7 +31,7 @@ pub struct TouchResult {
 impl TouchResult {
     /// Distance between both positions, metres.
     pub fn error_m(&self) -> f64 {
-        (self.seen_in_base_m - self.touch.in_base_m).norm()
+        (self.measured_in_base_m - self.touch.in_base_m).norm()
     }
 }
 
@@ -56,15 +56,15 @@ fn touched_one(
     touch: Touch,
 ) -> Result<TouchResult, VerifyError> {
     let [column, row] = touch.board_corner;
-    let seen = views.iter().zip(base_from_cam_left).filter_map(|(view, base_from_cam_left)| {
+    let positions = views.iter().zip(base_from_cam_left).filter_map(|(view, base_from_cam_left)| {
         Some(base_from_cam_left * corner_in_cam_left(rig, view, touch.board_corner)?)
     });
-    let seen: Vec<Point3<f64>> = seen.collect();
-    if seen.is_empty() {
+    let positions: Vec<Point3<f64>> = positions.collect();
+    if positions.is_empty() {
         return Err(VerifyError::Corner { column, row });
     }
-    let count = seen.len() as f64;
-    let mean = Point3::from(seen.iter().map(|point| point.coords).sum::<nalgebra::Vector3<f64>>() / count);
-    let scatter_m = (seen.iter().map(|point| (point - mean).norm_squared()).sum::<f64>() / count).sqrt();
-    Ok(TouchResult { touch, seen_in_base_m: mean, scatter_m, stops: seen.len() })
+    let count = positions.len() as f64;
+    let mean = Point3::from(positions.iter().map(|point| point.coords).sum::<nalgebra::Vector3<f64>>() / count);
+    let scatter_m = (positions.iter().map(|point| (point - mean).norm_squared()).sum::<f64>() / count).sqrt();
+    Ok(TouchResult { touch, measured_in_base_m: mean, scatter_m, stops: positions.len() })
 }

@@ -305,13 +305,13 @@ impl JointWorld {
             let base_from_flange = base_from_board * (self.world.flange_from_cam_left * view.isometry()).inverse();
             let Some(joints_rad) = self.joints(&base_from_flange) else { continue };
             let base_from_cam = self.chain.forward(&joints_rad).isometry() * self.world.flange_from_cam_left;
-            let seen = self.world.sightings(&(base_from_cam.inverse() * base_from_board), visit, random);
-            let Some(sightings) = seen else { continue };
-            let told_rad = joints_rad + JointVector::from_fn(|_, _| random.normal() * self.joint_sigma_rad);
+            let detected = self.world.sightings(&(base_from_cam.inverse() * base_from_board), visit, random);
+            let Some(sightings) = detected else { continue };
+            let reported_rad = joints_rad + JointVector::from_fn(|_, _| random.normal() * self.joint_sigma_rad);
             stops.push(HandEyeStop {
                 name: format!("{:02}", stops.len()),
                 sightings,
-                base_from_flange: self.believed.forward(&told_rad),
+                base_from_flange: self.believed.forward(&reported_rad),
                 tc_base_from_tc_flange: None,
             });
         }

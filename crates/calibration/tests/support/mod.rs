@@ -133,7 +133,7 @@ pub fn views_of(
             shift_px: 0.05 * length_px * random.normal(),
         };
         let streaks = [streak(), streak()];
-        let mut seen = |camera: &Camera, pose: &Isometry3<f64>, streak: &Streak| {
+        let mut project_board = |camera: &Camera, pose: &Isometry3<f64>, streak: &Streak| {
             sighting(
                 camera,
                 pose,
@@ -146,9 +146,11 @@ pub fn views_of(
                 random,
             )
         };
-        let seen =
-            [seen(rig.left(), &cam_left_from_board, &streaks[0]), seen(&right, &cam_right_from_board, &streaks[1])];
-        if let [Some(left), Some(right)] = seen {
+        let project_board = [
+            project_board(rig.left(), &cam_left_from_board, &streaks[0]),
+            project_board(&right, &cam_right_from_board, &streaks[1]),
+        ];
+        if let [Some(left), Some(right)] = project_board {
             views.push(View { name: format!("{:02}", views.len()), sightings: [left, right] });
         }
     }
@@ -157,7 +159,7 @@ pub fn views_of(
 
 /// The detections of a board by both cameras; `None` if it leaves an image.
 #[allow(dead_code, reason = "not every test that has this module places its boards by itself")]
-pub fn seen_by_both(
+pub fn detected_by_both(
     rig: &StereoRig,
     cam_left_from_board: &Isometry3<f64>,
     session: &Session,

@@ -51,7 +51,7 @@ fn with_trouble(result: String, decision: &Decision, shared: &Shared) -> String 
 
 /// Writes answers until all senders are dropped; write errors are ignored.
 pub(super) fn write_all(
-    said: &Receiver<String>,
+    lines: &Receiver<String>,
     (mut results, shared): (Consumer<CommandResult>, &Shared),
     (mut answers, prompt): (impl Write, &str),
 ) {
@@ -61,8 +61,8 @@ pub(super) fn write_all(
     // An operator whose output is not read can still type commands.
     let mut answer = |text: &str| drop(write!(answers, "{text}\n{prompt}").and_then(|()| answers.flush()));
     loop {
-        let said = said.recv_timeout(RESULTS_EVERY);
-        if let Ok(text) = &said {
+        let lines = lines.recv_timeout(RESULTS_EVERY);
+        if let Ok(text) = &lines {
             answer(text);
         }
         while let Ok(result) = results.pop() {
@@ -86,7 +86,7 @@ pub(super) fn write_all(
         if shared.has_no_start.swap(false, Ordering::SeqCst) {
             answer(NO_START);
         }
-        if said == Err(RecvTimeoutError::Disconnected) {
+        if lines == Err(RecvTimeoutError::Disconnected) {
             return;
         }
     }

@@ -13,7 +13,7 @@ use pb3dp_setup::region_spec::{RegionSpec, load_region};
 use rtrb::Producer;
 
 use super::options::ConsoleTargets;
-use super::{GivenCommand, Shared, Shown, WORDS_MAX};
+use super::{COMMANDS_MAX, GivenCommand, Shared, Shown};
 use crate::person::{cautious_command_of, command_of};
 use crate::selection::{Choice, Selection, Selections};
 use crate::terminal::without_escape_sequences;
@@ -28,7 +28,7 @@ const LINE_OVERLAP: usize = 64;
 const FILES_MAX: usize = 4;
 
 /// Part of the answer to an unknown command.
-const WORDS: &str = "use select, start, hold, hold hand, resume, re-align, stop, reset, status, help or quit";
+const COMMANDS_HELP: &str = "use select, start, hold, hold hand, resume, re-align, stop, reset, status, help or quit";
 
 /// Answer to `select` without a region, where the setup has no target.
 const NO_TARGET: &str = "select refused: the setup names no target (camera.region); mark one in the left image, for instance select \
@@ -72,18 +72,18 @@ type Queue = Mutex<Producer<GivenCommand>>;
 /// Queues a command with what it selects; returns the answer if it finds no room. Selections are offered in the order of their commands.
 fn queue(
     give: &mut Producer<GivenCommand>,
-    (number, said): (u64, OperatorRequest),
+    (number, request): (u64, OperatorRequest),
     chosen: Option<(&Selections, Choice)>,
 ) -> Option<String> {
     let selections = chosen.as_ref().map(|(selections, _)| *selections);
     let offer = chosen.map(|(selections, choice)| selections.offer(choice));
-    if give.push(GivenCommand { number, said, offer }).is_ok() {
+    if give.push(GivenCommand { number, request, offer }).is_ok() {
         return None;
     }
     if let (Some(selections), Some(offer)) = (selections, offer) {
         selections.withdraw(offer);
     }
-    Some(format!("{} refused: {WORDS_MAX} commands are waiting; repeat it", said.word.name()))
+    Some(format!("{} refused: {COMMANDS_MAX} commands are waiting; repeat it", request.command.name()))
 }
 
 /// The reading thread.
@@ -96,7 +96,7 @@ pub(super) struct Reading {
     /// `None` if the target cannot be chosen here.
     targets: Option<ConsoleTargets>,
     /// Number of commands typed.
-    words: u64,
+    commands: u64,
     /// Number of files that are being read.
     files: Arc<AtomicUsize>,
 }
@@ -109,7 +109,7 @@ impl Reading {
     ) -> Self {
         let queue = Arc::new(Mutex::new(give));
         let answers = Answers { say, left_out: 0 };
-        Self { clock, queue, answers, shared, interrupt, targets, words: 0, files: Arc::default() }
+        Self { clock, queue, answers, shared, interrupt, targets, commands: 0, files: Arc::default() }
     }
 }
 
@@ -166,7 +166,7 @@ impl Reading {
         let answer = match (command_of(line), without_escape_sequences(line).trim()) {
             (None, text) if text.starts_with("select ") => self.select(text["select ".len()..].trim()),
             (Some(OperatorCommand::Select), _) => self.select_of_setup(),
-            (Some(word), _) => self.say(word, None),
+            (Some(command), _) => self.say(command, None),
             (None, "status") => Some(self.status()),
             (None, "help" | "?") => Some(HELP.to_owned()),
             (None, "quit") => {
@@ -174,7 +174,7 @@ impl Reading {
                 Some("stopping both arms, then writing the report".to_owned())
             }
             (None, "") => None,
-            (None, other) => Some(format!("unknown command {other:?}: {WORDS}")),
+            (None, other) => Some(format!("unknown command {other:?}: {COMMANDS_HELP}")),
         };
         if let Some(answer) = answer {
             self.answers.give(answer);
@@ -218,8 +218,8 @@ impl Reading {
         if self.files.load(Ordering::SeqCst) >= FILES_MAX {
             return Some(format!("select refused: {FILES_MAX} files do not answer; use rect:, poly: or click:"));
         }
-        self.words += 1;
-        let (number, at) = (self.words, self.clock.now());
+        self.commands += 1;
+        let (number, at) = (self.commands, self.clock.now());
         self.shared.reading.store(number, Ordering::SeqCst);
         self.files.fetch_add(1, Ordering::SeqCst);
         let (files, waiting, shared) = (Arc::clone(&self.files), Arc::clone(&self.queue), Arc::clone(&self.shared));
@@ -234,11 +234,11 @@ impl Reading {
             if shared.reading.compare_exchange(number, 0, Ordering::SeqCst, Ordering::SeqCst).is_err() {
                 return;
             }
-            let said = OperatorRequest { word: OperatorCommand::Select, at };
+            let request = OperatorRequest { command: OperatorCommand::Select, at };
             let answer = match region {
                 Ok(region) => {
                     let choice = Choice::Marked(Selection { region, drawn_on: None, model: None });
-                    queue(&mut give, (number, said), Some((&selections, choice)))
+                    queue(&mut give, (number, request), Some((&selections, choice)))
                 }
                 Err(why) => Some(format!("select refused: {why:#}")),
             };
@@ -258,21 +258,21 @@ impl Reading {
     }
 
     /// Refusal of a command whose target may be that of a file that is still being read.
-    fn refused_while_reading(&self, word: OperatorCommand) -> Option<String> {
+    fn refused_while_reading(&self, command: OperatorCommand) -> Option<String> {
         let is_reading = self.shared.reading.load(Ordering::SeqCst) != 0;
-        let text = || format!("{} refused: the mask of the last select is still being read; repeat it", word.name());
-        (is_reading && !word.ends_motion()).then(text)
+        let text = || format!("{} refused: the mask of the last select is still being read; repeat it", command.name());
+        (is_reading && !command.ends_motion()).then(text)
     }
 
     /// A part of a line that is too long: only `stop` and `hold` are obeyed, once for each line.
     fn take_part(&mut self, part: &str, (is_rest, obeyed): (bool, &mut Option<OperatorCommand>)) {
         self.shared.has_typed.store(true, Ordering::SeqCst);
         let answer = match cautious_command_of(part) {
-            Some(word) if *obeyed != Some(word) && *obeyed != Some(OperatorCommand::Stop) => {
-                *obeyed = Some(word);
-                self.say(word, None)
+            Some(command) if *obeyed != Some(command) && *obeyed != Some(OperatorCommand::Stop) => {
+                *obeyed = Some(command);
+                self.say(command, None)
             }
-            None if !is_rest => Some(format!("the line is longer than {LINE_MAX} bytes: {WORDS}")),
+            None if !is_rest => Some(format!("the line is longer than {LINE_MAX} bytes: {COMMANDS_HELP}")),
             _ => None,
         };
         if let Some(answer) = answer {
@@ -280,54 +280,54 @@ impl Reading {
         }
     }
 
-    fn say(&mut self, word: OperatorCommand, choice: Option<Choice>) -> Option<String> {
-        if let Some(refused) = self.refused_while_reading(word) {
+    fn say(&mut self, command: OperatorCommand, choice: Option<Choice>) -> Option<String> {
+        if let Some(refused) = self.refused_while_reading(command) {
             return Some(refused);
         }
         if !self.shared.has_begun.load(Ordering::SeqCst) {
-            return self.say_early(word, choice);
+            return self.say_early(command, choice);
         }
-        self.give(word, choice)
+        self.give(command, choice)
     }
 
     /// Handles a command while both arms are being enabled. `stop` aborts enabling and ends the run. Commands that cause no motion are
     /// queued. Commands that could cause motion are refused, because the operator refers to the present state.
-    fn say_early(&mut self, word: OperatorCommand, choice: Option<Choice>) -> Option<String> {
-        match word {
+    fn say_early(&mut self, command: OperatorCommand, choice: Option<Choice>) -> Option<String> {
+        match command {
             OperatorCommand::Stop => {
                 self.interrupt.store(true, Ordering::SeqCst);
                 Some("enabling aborted: stopping both arms, then writing the report".to_owned())
             }
             OperatorCommand::Select | OperatorCommand::Hold | OperatorCommand::HoldHand => Some(
-                self.give(word, choice)
-                    .unwrap_or_else(|| format!("{} is queued until both arms are enabled", word.name())),
+                self.give(command, choice)
+                    .unwrap_or_else(|| format!("{} is queued until both arms are enabled", command.name())),
             ),
             OperatorCommand::Start | OperatorCommand::Resume | OperatorCommand::Realign | OperatorCommand::Reset => {
                 Some(format!(
                     "{} refused: both arms are still being enabled; repeat it when they are enabled",
-                    word.name()
+                    command.name()
                 ))
             }
         }
     }
 
-    fn give(&mut self, word: OperatorCommand, choice: Option<Choice>) -> Option<String> {
-        let said = OperatorRequest { word, at: self.clock.now() };
-        self.words += 1;
-        let slot = match word {
+    fn give(&mut self, command: OperatorCommand, choice: Option<Choice>) -> Option<String> {
+        let request = OperatorRequest { command, at: self.clock.now() };
+        self.commands += 1;
+        let slot = match command {
             OperatorCommand::Stop => &self.shared.stop,
             OperatorCommand::Hold => &self.shared.hold,
             OperatorCommand::HoldHand => &self.shared.hold_hand,
             _ => {
                 let chosen = self.targets.as_ref().map(|targets| &targets.selections).zip(choice);
                 let mut give = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
-                return queue(&mut give, (self.words, said), chosen);
+                return queue(&mut give, (self.commands, request), chosen);
             }
         };
-        slot.say(self.words, said.at);
+        slot.say(self.commands, request.at);
         // If its command is in the queue already, the control thread drops and answers it.
         let is_reading = self.shared.reading.swap(0, Ordering::SeqCst) != 0;
-        is_reading.then(|| format!("select not done: overtaken by {}; the mask is not used", word.name()))
+        is_reading.then(|| format!("select not done: overtaken by {}; the mask is not used", command.name()))
     }
 
     fn status(&self) -> String {

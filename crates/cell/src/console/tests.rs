@@ -90,20 +90,20 @@ pub fn decision() -> Decision {
     Supervisor::new(config).unwrap().step(&inputs, NOW)
 }
 
-fn word(console: &mut Console) -> Option<OperatorCommand> {
-    console.listen(None, NOW).said.map(|said| said.word)
+fn command(console: &mut Console) -> Option<OperatorCommand> {
+    console.listen(None, NOW).request.map(|request| request.command)
 }
 
 /// As [`console`], with both arms enabled; also returns the writer for commands.
 fn begun() -> (Console, PipeWriter, Receiver<String>, Arc<AtomicBool>) {
     let (lines, writer) = typed();
     let (mut console, answers, interrupt) = console(lines);
-    assert_eq!(console.listen(None, NOW).said, None);
+    assert_eq!(console.listen(None, NOW).request, None);
     (console, writer, answers, interrupt)
 }
 
 #[test]
-fn a_console_hands_words_over_in_order_and_ends_the_run_behind_its_end() {
+fn a_console_passes_commands_on_in_order_and_ends_the_run_after_its_end() {
     let (mut console, mut writer, answers, interrupt) = begun();
     write!(writer, "select\n start \n\nstatus\ngo\nresume").unwrap();
     drop(writer);
@@ -112,10 +112,10 @@ fn a_console_hands_words_over_in_order_and_ends_the_run_behind_its_end() {
     assert!(text.ends_with("end of input: stopping both arms, then writing the report\n"), "{text}");
     wait_until(|| interrupt.load(Ordering::SeqCst) && console.shared.is_closed.load(Ordering::SeqCst));
     let later = MonotonicTime::from_nanos(70);
-    let heard = [0; 4].map(|_| console.listen(None, later));
-    let words = heard.map(|input| input.said.map(|said| (said.word, said.at)));
+    let listened = [0; 4].map(|_| console.listen(None, later));
+    let commands = listened.map(|input| input.request.map(|request| (request.command, request.at)));
     assert_eq!(
-        words,
+        commands,
         [
             Some((OperatorCommand::Select, NOW)),
             Some((OperatorCommand::Start, NOW)),
@@ -123,7 +123,7 @@ fn a_console_hands_words_over_in_order_and_ends_the_run_behind_its_end() {
             None
         ]
     );
-    assert_eq!(heard[2].heard_at, Some(NOW), "a closed console gives no sign of life");
+    assert_eq!(listened[2].heartbeat_at, Some(NOW), "a closed console gives no sign of life");
 }
 
 #[test]
@@ -195,41 +195,42 @@ fn commands_typed_while_the_program_was_suspended_are_discarded_but_not_stop_and
     let mut say = |console: &Console, line: &str, seconds: f64| {
         clock.sleep_until(at(seconds));
         writeln!(writer, "{line}").unwrap();
-        wait_until(|| !console.words.is_empty() || console.shared.hold.number.load(Ordering::SeqCst) > 0);
+        wait_until(|| !console.commands.is_empty() || console.shared.hold.number.load(Ordering::SeqCst) > 0);
     };
-    let word = |console: &mut Console, seconds: f64| console.listen(None, at(seconds)).said.map(|said| said.word);
-    assert_eq!(word(&mut console, 1.0), None);
+    let command =
+        |console: &mut Console, seconds: f64| console.listen(None, at(seconds)).request.map(|request| request.command);
+    assert_eq!(command(&mut console, 1.0), None);
     // A late step is not a suspension.
     say(&console, "start", 1.19);
-    assert_eq!(word(&mut console, 1.19), Some(Start));
+    assert_eq!(command(&mut console, 1.19), Some(Start));
     // Read before the first step after the pause, and after it.
     say(&console, "reset", 2.0);
-    assert_eq!([2.001, 2.01].map(|seconds| word(&mut console, seconds)), [None; 2]);
+    assert_eq!([2.001, 2.01].map(|seconds| command(&mut console, seconds)), [None; 2]);
     assert_eq!(answers.recv_timeout(Duration::from_secs(30)).unwrap().trim(), DISCARDED);
     say(&console, "reset", 2.1);
-    assert_eq!(word(&mut console, 2.1), None);
+    assert_eq!(command(&mut console, 2.1), None);
     say(&console, "hold", 2.2);
-    assert_eq!(word(&mut console, 2.2), Some(Hold));
+    assert_eq!(command(&mut console, 2.2), Some(Hold));
     say(&console, "stop\nhold", 2.25);
-    assert_eq!(word(&mut console, 2.25), Some(Stop));
-    assert_eq!([2.26, 2.4].map(|seconds| word(&mut console, seconds)), [Some(Hold), None]);
+    assert_eq!(command(&mut console, 2.25), Some(Stop));
+    assert_eq!([2.26, 2.4].map(|seconds| command(&mut console, seconds)), [Some(Hold), None]);
     say(&console, "reset", 2.5);
-    assert_eq!(word(&mut console, 2.5), Some(Reset));
+    assert_eq!(command(&mut console, 2.5), Some(Reset));
     // The supervisor has found a clock step that the times of the steps do not show.
     let cause = Cause { condition: Condition::ClockStepped, value: 0.1, threshold: 0.05, detail: Detail::None };
     let (from, to) = (State::Tracking, State::Holding);
     let transition = Transition { at: at(2.6), from, to, event: Event::HoldFound, cause: Some(cause) };
     console.show(&Decision { transition: Some(transition), ..decision() });
     say(&console, "reset", 2.65);
-    assert_eq!(word(&mut console, 2.65), None);
+    assert_eq!(command(&mut console, 2.65), None);
 }
 
 #[test]
 fn every_command_gets_its_result_as_an_answer() {
     let (mut console, mut writer, answers, _) = begun();
     writeln!(writer, "start").unwrap();
-    wait_until(|| !console.words.is_empty());
-    assert_eq!(word(&mut console), Some(OperatorCommand::Start));
+    wait_until(|| !console.commands.is_empty());
+    assert_eq!(command(&mut console), Some(OperatorCommand::Start));
     let unchanged = decision();
     assert_eq!((unchanged.refused, unchanged.transition), (None, None));
     console.show(&unchanged);
@@ -242,7 +243,7 @@ fn every_command_gets_its_result_as_an_answer() {
 }
 
 #[test]
-fn words_that_are_said_while_the_arms_are_switched_on_are_kept_or_refused_at_once() {
+fn commands_during_enabling_are_kept_or_refused_at_once() {
     let (lines, mut writer) = typed();
     let (mut console, answers, interrupt) = console(lines);
     writeln!(writer, "start\nselect\nresume\nreset\nstatus\nhold\nselect").unwrap();
@@ -250,20 +251,20 @@ fn words_that_are_said_while_the_arms_are_switched_on_are_kept_or_refused_at_onc
     while text.matches("queued").count() < 3 {
         text += &answers.recv().unwrap();
     }
-    for word in ["start", "resume", "reset"] {
-        let refusal = format!("{word} refused: both arms are still being enabled");
+    for command in ["start", "resume", "reset"] {
+        let refusal = format!("{command} refused: both arms are still being enabled");
         assert!(text.contains(&refusal), "{text}");
     }
     assert!(text.contains("not started yet: both arms are being enabled"), "{text}");
     // Ten seconds later: each command is stamped now, and hold has overtaken the first select.
     let later = NOW + Duration::from_secs(10);
-    let words = [0; 3].map(|_| console.listen(None, later).said.map(|said| (said.word, said.at)));
-    assert_eq!(words, [Some((OperatorCommand::Hold, later)), Some((OperatorCommand::Select, later)), None]);
+    let commands = [0; 3].map(|_| console.listen(None, later).request.map(|request| (request.command, request.at)));
+    assert_eq!(commands, [Some((OperatorCommand::Hold, later)), Some((OperatorCommand::Select, later)), None]);
     assert!(!interrupt.load(Ordering::SeqCst));
     // From now on each command counts at the time of its input.
     writeln!(writer, "start").unwrap();
-    wait_until(|| !console.words.is_empty());
-    assert_eq!(console.listen(None, later).said.map(|said| said.word), Some(OperatorCommand::Start));
+    wait_until(|| !console.commands.is_empty());
+    assert_eq!(console.listen(None, later).request.map(|request| request.command), Some(OperatorCommand::Start));
 }
 
 #[test]
@@ -279,11 +280,11 @@ fn stop_breaks_off_the_switching_on_of_both_arms() {
 fn an_open_console_is_a_sign_of_life() {
     let (lines, writer) = typed();
     let (mut console, _answers, interrupt) = console(lines);
-    assert_eq!(console.listen(None, NOW), OperatorInput { heard_at: Some(NOW), ..OperatorInput::default() });
+    assert_eq!(console.listen(None, NOW), OperatorInput { heartbeat_at: Some(NOW), ..OperatorInput::default() });
     assert!(!interrupt.load(Ordering::SeqCst));
     drop(writer);
     wait_until(|| console.shared.is_closed.load(Ordering::SeqCst));
-    assert_eq!(console.listen(None, MonotonicTime::from_nanos(70)).heard_at, Some(NOW));
+    assert_eq!(console.listen(None, MonotonicTime::from_nanos(70)).heartbeat_at, Some(NOW));
 }
 
 /// For arms that are not emulated: an open console proves nothing, a line proves that somebody is there.
@@ -301,14 +302,14 @@ fn a_console_with_keys_falls_silent_when_nobody_types_and_asks_before() {
     let begin = MonotonicTime::from_nanos(1_000_000_000);
     let after = |seconds| begin + Duration::from_secs(seconds);
     let moving = Decision { state: State::Tracking, ..decision() };
-    let heard = |console: &mut Console, seconds| {
-        let heard = console.listen(Some(&moving), after(seconds));
-        assert_eq!(heard.silent_after, Some(within));
-        heard.heard_at
+    let listened = |console: &mut Console, seconds| {
+        let listened = console.listen(Some(&moving), after(seconds));
+        assert_eq!(listened.silent_after, Some(within));
+        listened.heartbeat_at
     };
-    assert_eq!([0, 19].map(|seconds| heard(&mut console, seconds)), [Some(begin); 2]);
+    assert_eq!([0, 19].map(|seconds| listened(&mut console, seconds)), [Some(begin); 2]);
     assert!(answers.recv_timeout(RESULTS_EVERY * 3).is_err(), "asked too early");
-    assert_eq!(heard(&mut console, 20), Some(begin));
+    assert_eq!(listened(&mut console, 20), Some(begin));
     // An answer is written in several parts.
     let asked = || answers.recv_timeout(Duration::from_secs(30)).unwrap().trim() == ASK;
     wait_until(asked);
@@ -316,7 +317,7 @@ fn a_console_with_keys_falls_silent_when_nobody_types_and_asks_before() {
     clock.sleep_until(after(25));
     writeln!(writer).unwrap();
     wait_until(|| console.shared.typed_nanos.load(Ordering::SeqCst) > 0);
-    assert_eq!([26, 44, 60].map(|seconds| heard(&mut console, seconds)), [Some(after(25)); 3]);
+    assert_eq!([26, 44, 60].map(|seconds| listened(&mut console, seconds)), [Some(after(25)); 3]);
     wait_until(asked);
     // Nobody is asked while no arm may move.
     let held = Decision { state: State::Holding, no_arm_may_move: true, ..decision() };
@@ -328,7 +329,7 @@ fn a_console_with_keys_falls_silent_when_nobody_types_and_asks_before() {
 }
 
 #[test]
-fn stop_and_hold_find_room_behind_any_number_of_words_and_overtake_them() {
+fn stop_and_hold_find_room_behind_any_number_of_commands_and_overtake_them() {
     let (mut console, mut writer, answers, _) = begun();
     // More commands than the queue holds, but no more refusals than the answer queue holds.
     for _ in 0..40 {
@@ -340,23 +341,23 @@ fn stop_and_hold_find_room_behind_any_number_of_words_and_overtake_them() {
         text += &answers.recv().unwrap();
     }
     assert!(text.contains("start refused: 16 commands are waiting"), "{text}");
-    let words = [0; 4].map(|_| word(&mut console));
+    let commands = [0; 4].map(|_| command(&mut console));
     let urgent = [OperatorCommand::Stop, OperatorCommand::Hold, OperatorCommand::HoldHand];
-    assert_eq!(words, [Some(urgent[0]), Some(urgent[1]), Some(urgent[2]), None]);
+    assert_eq!(commands, [Some(urgent[0]), Some(urgent[1]), Some(urgent[2]), None]);
     // Later commands are taken again.
     writeln!(writer, "reset").unwrap();
-    wait_until(|| !console.words.is_empty());
-    assert_eq!([0; 2].map(|_| word(&mut console)), [Some(OperatorCommand::Reset), None]);
+    wait_until(|| !console.commands.is_empty());
+    assert_eq!([0; 2].map(|_| command(&mut console)), [Some(OperatorCommand::Reset), None]);
 }
 
 #[test]
-fn bytes_that_are_no_text_and_lines_without_end_are_no_words_and_close_nothing() {
+fn invalid_text_and_endless_lines_are_no_commands_and_close_nothing() {
     let long = [b"x".repeat(LINE_MAX as usize), b"start\n".to_vec()].concat();
     let lines = [b"st\xffart\n\xfe\xfe\n".to_vec(), long, b"select\n".to_vec()].concat();
     let (mut console, answers, _) = console(std::io::Cursor::new(lines));
     let text: String = answers.iter().collect();
     assert!(text.contains("unknown command \"st\u{fffd}art\"") && text.contains("longer than 1024 bytes"), "{text}");
-    assert_eq!([0; 2].map(|_| word(&mut console)), [Some(OperatorCommand::Select), None]);
+    assert_eq!([0; 2].map(|_| command(&mut console)), [Some(OperatorCommand::Select), None]);
 }
 
 #[test]
@@ -376,40 +377,40 @@ fn a_stop_anywhere_in_a_line_that_is_too_long_is_a_stop() {
         wait_until(|| console.shared.stop.number.load(Ordering::SeqCst) > 0);
         // The end of the line was read as well.
         writeln!(writer, "select").unwrap();
-        wait_until(|| !console.words.is_empty());
-        assert_eq!(word(&mut console), Some(OperatorCommand::Stop), "{line:?}");
-        while word(&mut console).is_some() {}
+        wait_until(|| !console.commands.is_empty());
+        assert_eq!(command(&mut console), Some(OperatorCommand::Stop), "{line:?}");
+        while command(&mut console).is_some() {}
     }
     while answers.try_recv().is_ok() {}
     writeln!(writer, "start {}", "x".repeat(LINE_MAX as usize)).unwrap();
     let refused = answers.recv_timeout(Duration::from_secs(30)).unwrap();
     assert!(refused.contains("longer than 1024 bytes"), "{refused}");
-    assert_eq!([0; 2].map(|_| word(&mut console)), [None; 2]);
+    assert_eq!([0; 2].map(|_| command(&mut console)), [None; 2]);
 }
 
 #[test]
-fn a_person_who_reads_no_answers_is_still_heard() {
+fn commands_of_a_person_who_reads_no_answers_are_obeyed() {
     let ((lines, mut writer), (unread, full)) = (typed(), pipe().unwrap());
     let mut console = Console::start(Arc::new(VirtualClock::new()), lines, full, options()).unwrap();
-    assert_eq!(word(&mut console), None);
+    assert_eq!(command(&mut console), None);
     // More than a pipe and the answer queue hold.
     for _ in 0..4000 {
         writeln!(writer, "what is the matter with you?").unwrap();
     }
     writeln!(writer, "stop").unwrap();
     wait_until(|| console.shared.stop.number.load(Ordering::SeqCst) > 0);
-    assert_eq!(word(&mut console), Some(OperatorCommand::Stop));
+    assert_eq!(command(&mut console), Some(OperatorCommand::Stop));
     // Dropped answers are reported once the output is read.
     let mut read = BufReader::new(unread).lines().map(|line| line.unwrap());
-    let told = read.find(|line| {
+    let answered = read.find(|line| {
         writeln!(writer, "status").unwrap();
         line.contains("earlier answers dropped")
     });
-    assert!(told.is_some());
+    assert!(answered.is_some());
 }
 
 #[test]
-fn what_is_told_while_somebody_reads_is_shown_in_the_next_step() {
+fn messages_during_a_read_are_shown_in_the_next_step() {
     let (lines, _writer) = typed();
     let (mut console, ..) = console(lines);
     let shared = Arc::clone(&console.shared);
@@ -441,10 +442,10 @@ fn a_late_result_is_answered_at_once_and_a_refusal_names_the_trouble() {
     }
     console.tell(Some(trouble.to_owned()));
     writeln!(writer, "start").unwrap();
-    wait_until(|| !console.words.is_empty());
+    wait_until(|| !console.commands.is_empty());
     let last = decision();
     console.listen(Some(&last), NOW);
-    let refused = Refusal { word: OperatorCommand::Start, because: RefusedFor::State(State::Idle) };
+    let refused = Refusal { command: OperatorCommand::Start, because: RefusedFor::State(State::Idle) };
     console.show(&Decision { refused: Some(refused), ..last });
     text.clear();
     while !text.contains(trouble) {

@@ -69,7 +69,7 @@ impl Console {
         loop {
             match self.lines.try_recv() {
                 Ok(Ok(line)) if ends_motion(&line) => return Err(EndedByPerson::Typed(line)),
-                Ok(Ok(_)) => keys.heard(now),
+                Ok(Ok(_)) => keys.key_pressed(now),
                 Ok(Err(_)) | Err(TryRecvError::Disconnected) => return Err(EndedByPerson::EndOfInput),
                 Err(TryRecvError::Empty) => return keys.look(now),
             }

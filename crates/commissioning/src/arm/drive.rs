@@ -6,7 +6,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use pb3dp_arm_pa10_protocol::codec::Axis;
 use pb3dp_cell::attended_motion::AttendedMotion;
-use pb3dp_cell::parts::{ArmChoice, DrivenArm};
+use pb3dp_cell::parts::{ArmChoice, ArmControl};
 use pb3dp_cell::plan::Plan;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{ArmError, ArmErrorKind, Clock, JointCommand, JointState};
@@ -47,13 +47,13 @@ pub struct Cycle<'a> {
 }
 
 /// Selects one of the two arms.
-type Which = fn(&mut SlowArm) -> Result<&mut dyn DrivenArm>;
+type Which = fn(&mut SlowArm) -> Result<&mut dyn ArmControl>;
 
-fn this_arm(arm: &mut SlowArm) -> Result<&mut dyn DrivenArm> {
+fn this_arm(arm: &mut SlowArm) -> Result<&mut dyn ArmControl> {
     Ok(&mut *arm.driven)
 }
 
-fn other_arm(arm: &mut SlowArm) -> Result<&mut dyn DrivenArm> {
+fn other_arm(arm: &mut SlowArm) -> Result<&mut dyn ArmControl> {
     Ok(&mut *arm.other.as_mut().context("the other arm is not connected")?.driven)
 }
 
@@ -233,7 +233,7 @@ mod tests {
         }
     }
 
-    impl DrivenArm for Scripted {
+    impl ArmControl for Scripted {
         fn statistics(&self) -> LimiterStatistics {
             LimiterStatistics::default()
         }
@@ -291,7 +291,7 @@ mod tests {
 
     /// Brakes take seconds to open: an arm with open brakes is exchanged with in each cycle meanwhile, and its stop aborts the move.
     #[test]
-    fn the_other_arm_is_watched_while_this_one_is_switched_on() {
+    fn the_other_arm_is_watched_while_this_one_is_enabled() {
         let mut other = vec![Err(ArmErrorKind::Fault)];
         other.resize(60, Ok(at_rest()));
         let mut arm = cell([&[Ok(at_rest()); 200], &other], 100);

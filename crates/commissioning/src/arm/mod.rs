@@ -10,7 +10,7 @@ mod probe_report;
 mod reset;
 mod stillness;
 mod visit;
-mod visiting;
+mod visit_run;
 
 use std::path::PathBuf;
 use std::process::ExitCode;

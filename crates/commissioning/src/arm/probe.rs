@@ -23,23 +23,23 @@ pub fn run(args: &ProbeArgs) -> Result<ExitCode> {
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
     let mut report = ProbeReport::begin(choice);
     match see(&setup, choice, &clock) {
-        Ok(mut seen) => {
-            seen.arm.warnings().iter().for_each(|warning| report.warn(warning.clone()));
-            let monitor = seen.arm.monitor();
+        Ok(mut observed) => {
+            observed.arm.warnings().iter().for_each(|warning| report.warn(warning.clone()));
+            let monitor = observed.arm.monitor();
             // Each call exchanges at least one message, so this loop ends.
             for _ in 0..args.exchanges {
                 let snapshot = monitor.snapshot();
                 if snapshot.latched.is_some() || snapshot.counters.sent >= u64::from(args.exchanges) {
                     break;
                 }
-                if let Err(error) = seen.arm.look() {
+                if let Err(error) = observed.arm.look() {
                     if monitor.snapshot().latched.is_none() {
                         report.refuse(format!("{:#}", anyhow::Error::from(error)));
                     }
                     break;
                 }
             }
-            report.add(choice.of(&setup), seen.target.clone(), &monitor);
+            report.add(choice.of(&setup), observed.target.clone(), &monitor);
         }
         Err(error) => report.refuse(format!("{error:#}")),
     }

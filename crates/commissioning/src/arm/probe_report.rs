@@ -141,28 +141,28 @@ impl ProbeReport {
 
     /// Adds the results of an arm that was reached.
     pub fn add(&mut self, arm: &ArmSetup, target: String, monitor: &ArmMonitor) {
-        let seen = monitor.snapshot();
-        judge_stop(&seen, self);
-        if let Some(hello) = &seen.gateway {
+        let snapshot = monitor.snapshot();
+        judge_stop(&snapshot, self);
+        if let Some(hello) = &snapshot.gateway {
             judge_gateway(arm, hello, self);
         }
         if let ArmLink::Bus(link) = &arm.link {
             bus_doubts(link).for_each(|doubt| self.warn(doubt));
-            judge_silence(&seen, self);
+            judge_silence(&snapshot, self);
         }
-        self.joints = Axis::ALL.map(|axis| joint(arm, &seen, axis, self)).into();
-        self.controller_word = seen.sample.or(seen.shown).map(|sample| controller(&sample.condition, self));
-        self.link = Some(link(&seen, monitor, self));
+        self.joints = Axis::ALL.map(|axis| joint(arm, &snapshot, axis, self)).into();
+        self.controller_word = snapshot.sample.or(snapshot.shown).map(|sample| controller(&sample.condition, self));
+        self.link = Some(link(&snapshot, monitor, self));
         self.target = Some(target);
-        self.state = Some(seen.state.to_string());
-        self.gateway = seen.gateway.as_ref().map(GatewayFacts::of);
+        self.state = Some(snapshot.state.to_string());
+        self.gateway = snapshot.gateway.as_ref().map(GatewayFacts::of);
     }
 }
 
-fn judge_stop(seen: &ArmSnapshot, report: &mut ProbeReport) {
-    let Some(latched) = &seen.latched else { return };
+fn judge_stop(snapshot: &ArmSnapshot, report: &mut ProbeReport) {
+    let Some(latched) = &snapshot.latched else { return };
     report.refuse(format!("the arm is stopped: {}", latched.trip));
-    match (&seen.sample, &seen.shown, &seen.gateway) {
+    match (&snapshot.sample, &snapshot.shown, &snapshot.gateway) {
         (Some(_), _, _) => {}
         (None, Some(shown), _) => {
             let seconds = shown.age.as_secs_f64();
@@ -186,10 +186,10 @@ fn judge_stop(seen: &ArmSnapshot, report: &mut ProbeReport) {
 }
 
 /// Detects a controller that answers, but not to cyclic commands.
-fn judge_silence(seen: &ArmSnapshot, report: &mut ProbeReport) {
+fn judge_silence(snapshot: &ArmSnapshot, report: &mut ProbeReport) {
     let is_lost = |trip| matches!(trip, Trip::Fault(FaultCause::LinkLost { .. }));
-    let is_silent = seen.latched.is_some_and(|latched| is_lost(latched.trip));
-    if is_silent && seen.sample.is_none() && seen.counters.answered > 0 {
+    let is_silent = snapshot.latched.is_some_and(|latched| is_lost(latched.trip));
+    if is_silent && snapshot.sample.is_none() && snapshot.counters.answered > 0 {
         report.refuse(
             "the controller answers, but not to cyclic commands: it may use the other wire format; try the other wire_format"
                 .to_owned(),
@@ -231,12 +231,12 @@ impl GatewayFacts {
     }
 }
 
-fn joint(arm: &ArmSetup, seen: &ArmSnapshot, axis: Axis, report: &mut ProbeReport) -> JointFacts {
+fn joint(arm: &ArmSetup, snapshot: &ArmSnapshot, axis: Axis, report: &mut ProbeReport) -> JointFacts {
     let index = axis.index();
     let hard = arm.limits.servo();
     let configured_deg = [degrees(hard.position_min_rad()[index]), degrees(hard.position_max_rad()[index])];
     let eeprom_deg =
-        seen.limits[index].map(|limits: AxisLimits| [degrees(limits.lower_rad), degrees(limits.upper_rad)]);
+        snapshot.limits[index].map(|limits: AxisLimits| [degrees(limits.lower_rad), degrees(limits.upper_rad)]);
     let difference_deg =
         eeprom_deg.map(|found| [0, 1].map(|end| ((found[end] - configured_deg[end]) * 1e4).round() / 1e4));
     match difference_deg {
@@ -248,12 +248,12 @@ fn joint(arm: &ArmSetup, seen: &ArmSnapshot, axis: Axis, report: &mut ProbeRepor
             arm.key,
             arm.key
         )),
-        None if seen.latched.is_none() => {
+        None if snapshot.latched.is_none() => {
             report.refuse(format!("{axis}: the controller did not send its limits; probe again"));
         }
         _ => {}
     }
-    let sample = seen.sample.or(seen.shown);
+    let sample = snapshot.sample.or(snapshot.shown);
     let now_rad = sample.map(|sample| sample.position_rad[index]);
     if let Some(angle) = now_rad {
         judge_angle(arm, (axis, angle), report);
@@ -333,8 +333,8 @@ fn controller(condition: &ArmCondition, report: &mut ProbeReport) -> String {
     format!("0x{:04x} ({})", word.0, if set.is_empty() { "none set".to_owned() } else { set.join(", ") })
 }
 
-fn link(seen: &ArmSnapshot, monitor: &ArmMonitor, report: &mut ProbeReport) -> LinkFacts {
-    let counters = &seen.counters;
+fn link(snapshot: &ArmSnapshot, monitor: &ArmMonitor, report: &mut ProbeReport) -> LinkFacts {
+    let counters = &snapshot.counters;
     let lost_percent = 100.0 * counters.lost as f64 / counters.sent.max(1) as f64;
     if lost_percent > LOST_PERCENT_MAX {
         report.refuse(format!(
@@ -355,8 +355,8 @@ fn link(seen: &ArmSnapshot, monitor: &ArmMonitor, report: &mut ProbeReport) -> L
         late: counters.late,
         damaged: counters.damaged,
         mismatched: counters.mismatched,
-        resyncs: seen.line.resyncs,
-        skipped_bytes: seen.line.skipped_bytes,
+        resyncs: snapshot.line.resyncs,
+        skipped_bytes: snapshot.line.skipped_bytes,
         round_trips: monitor.round_trips().into(),
         control_round_trips: monitor.control_trips().into(),
         lateness: monitor.jitter().into(),

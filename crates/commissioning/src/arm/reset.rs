@@ -21,8 +21,8 @@ pub fn run(place: &Place) -> Result<ExitCode> {
     let (choice, mut signals) = (place.choice(), StopSignals::take_over()?);
     let setup = read_layers(&place.setup)?;
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
-    let mut seen = see(&setup, choice, &clock)?;
-    let Some(latched) = seen.arm.monitor().snapshot().latched else {
+    let mut observed = see(&setup, choice, &clock)?;
+    let Some(latched) = observed.arm.monitor().snapshot().latched else {
         print_line(&format!("{}: not stopped, nothing to reset", choice.name()))?;
         return Ok(ExitCode::SUCCESS);
     };
@@ -32,7 +32,7 @@ pub fn run(place: &Place) -> Result<ExitCode> {
     }
     print_line(&format!("{name} is stopped: {}\nAfter the cause is gone, type {name} to clear it:", latched.trip))?;
     confirm::typed(name, &mut signals)?;
-    seen.arm.reset()?;
-    print_line(&format!("{name}: {}", seen.arm.monitor().snapshot().state))?;
+    observed.arm.reset()?;
+    print_line(&format!("{name}: {}", observed.arm.monitor().snapshot().state))?;
     Ok(ExitCode::SUCCESS)
 }

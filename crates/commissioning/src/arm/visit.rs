@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, SystemTime};
 
-use super::visiting::{self, Output, Tour, Visited};
+use super::visit_run::{self, Output, Tour, Visited};
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use pb3dp_cell::flight::Moment;
@@ -138,9 +138,9 @@ pub(super) fn run(args: &VisitArgs, program: Program) -> Result<ExitCode> {
     // Arms and cameras are connected; all brakes stay on.
     let Wired { mut parts, monitors, .. } = wire_to_look(&setup, patience)?;
     let Some(wanted) = wanted else {
-        let was_interrupted = watch(signals, &parts.interrupt, std::mem::take(&mut parts.on_bus), program.last_words)?;
+        let was_interrupted = watch(signals, &parts.interrupt, std::mem::take(&mut parts.on_bus), program.final_flush)?;
         let output = args.output(&setup, program, &parts)?;
-        visiting::look_here(&setup, parts, patience, output, date)?;
+        visit_run::record_here(&setup, parts, patience, output, date)?;
         if was_interrupted.load(Ordering::SeqCst) {
             return Ok(ExitCode::from(INTERRUPTED));
         }
@@ -157,11 +157,11 @@ pub(super) fn run(args: &VisitArgs, program: Program) -> Result<ExitCode> {
         false => Some(confirm::confirmed(tour.choice.name(), Some(setup.operator_key_within), &mut signals)?),
     };
     let output = args.output(&setup, program, &parts)?;
-    let was_interrupted = watch(signals, &parts.interrupt, std::mem::take(&mut parts.on_bus), program.last_words)?;
+    let was_interrupted = watch(signals, &parts.interrupt, std::mem::take(&mut parts.on_bus), program.final_flush)?;
     let (clock, flights) = (Arc::clone(&parts.clock), parts.flights.clone());
     let listen = |console| confirm::attend(console, setup.operator_key_within, &parts, std::io::stdout());
     let attended = person.map(listen).transpose()?;
-    let visited = visiting::run(&setup, parts, &tour, output, date);
+    let visited = visit_run::run(&setup, parts, &tour, output, date);
     if let Err(failure) = &visited {
         let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };
         write_flights((args.folder_of_flights(), 1), &flights, &monitors, failure, moment);
@@ -246,7 +246,7 @@ fn plan_tour(setup: &Setup, parts: &mut Parts, wanted: &WantedPoses, patience: D
         "{} of {} poses, moves of {:.0} s, at most {JOINT_MAX_RAD_PER_S} rad/s; then back to the current pose",
         tour.stops(),
         wanted.poses.len(),
-        tour.ways_take().as_secs_f64()
+        tour.travel_time().as_secs_f64()
     ))?;
     Ok(tour)
 }
@@ -296,11 +296,11 @@ fn free_way(
 }
 
 fn tell(args: &VisitArgs, tour: &Tour, visited: &Visited) -> Result<()> {
-    for stop in &visited.restless {
+    for stop in &visited.unsettled_stops {
         tracing::warn!(
             "stop {stop} skipped: no stationary image within {:?} (limit {} px from one to the next)",
             tour.patience,
-            visiting::STILL_WITHIN_PX
+            visit_run::STILL_WITHIN_PX
         );
     }
     let end = if visited.is_whole { "returned to the start" } else { "ended early" };

@@ -132,14 +132,14 @@ fn fill_holes(mask: &RegionMask) -> RegionMask {
 pub(super) fn largest_part(mask: &RegionMask) -> RegionMask {
     let mut best = RegionMask::empty(mask.size());
     let mut best_area = 0;
-    let mut seen = RegionMask::empty(mask.size());
+    let mut visited = RegionMask::empty(mask.size());
     mask.for_each_run(|y, first, last| {
-        if seen.contains(first as i32, y as i32) {
+        if visited.contains(first as i32, y as i32) {
             return;
         }
         let part = flood(mask.size(), [(first, y)], |u, v| mask.contains(u as i32, v as i32));
-        part.for_each_run(|row, a, b| seen.insert_span(i64::from(row), i64::from(a), i64::from(b)));
-        debug_assert!(seen.contains(last as i32, y as i32));
+        part.for_each_run(|row, a, b| visited.insert_span(i64::from(row), i64::from(a), i64::from(b)));
+        debug_assert!(visited.contains(last as i32, y as i32));
         let area = part.area_px();
         if area > best_area {
             (best, best_area) = (part, area);

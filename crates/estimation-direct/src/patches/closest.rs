@@ -159,7 +159,7 @@ mod tests {
 
     /// By hand: the rms of a parabola of height `h` about its mean is `h sqrt(4 / 45)`; patches 16 px apart see most of it in common.
     #[test]
-    fn a_relief_is_told_from_the_errors_of_patches() {
+    fn a_relief_is_distinguished_from_the_errors_of_patches() {
         let noise = |x: f32, y: f32| {
             let mut z = (x as u64 * 7919 + y as u64 * 104_729).wrapping_mul(0x9E37_79B9_7F4A_7C15);
             z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -176,7 +176,7 @@ mod tests {
 
     /// The evaluated plane meets the larger surface at its far end and, behind a step, the smaller one.
     #[test]
-    fn a_plane_that_bridges_a_step_is_told_from_the_surface() {
+    fn a_plane_that_bridges_a_step_is_distinguished_from_the_surface() {
         let found = closest(|x| if x < 80.0 { 0.018 * (x - 10.0) } else { 0.0 }).unwrap();
         let off = [0.0, 79.0].map(|x| found[0] + found[1] * x - 0.018 * (x - 10.0));
         assert!(off.iter().all(|off| off.abs() < 0.1) && found[2].abs() < 2e-3, "{found:?}");

@@ -4,7 +4,7 @@ use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::wide::wide;
 
 use super::super::image_plane::{ImagePlane, PixelWindow};
-use super::super::region_pyramid::{RegionLevel, is_seen};
+use super::super::region_pyramid::{RegionLevel, is_visible};
 use super::super::search::ends_of;
 use super::kernel::{PointSet, SHARING, TOUCHED, UNUSABLE};
 use super::prepare::CameraChannels;
@@ -74,7 +74,7 @@ impl Selection {
         }
         let pixels = self.mask.iter_mut().zip(&self.inner).zip(level.support.iter().zip(&level.left.flags));
         for ((mask, inner), (support, flag)) in pixels {
-            *mask = (*mask + inner) * (support & u8::from(is_seen(*flag)));
+            *mask = (*mask + inner) * (support & u8::from(is_visible(*flag)));
         }
         bounds(&self.mask, width)
     }

@@ -566,7 +566,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_single_coloured_pixel_is_seen_with_every_kernel() {
+    fn a_single_coloured_pixel_counts_with_every_kernel() {
         for kernels in pb3dp_estimation_test_support::every_kernel() {
             let mut row: Vec<u8> = (0..70_u8).flat_map(|value| [value; 3]).collect();
             assert!(!has_colour(kernels, &row));

@@ -81,8 +81,8 @@ impl CellPositions {
     pub fn taps_box(&self, size: [u32; 2]) -> [Range<usize>; 2] {
         [0, 1].map(|axis| {
             // Pixels without a source are negative.
-            let seen = self.at[axis].as_flattened().iter().copied().filter(|at| *at >= 0.0);
-            let (low, high) = seen.fold((f32::MAX, 0.0_f32), |(low, high), at| (low.min(at), high.max(at)));
+            let valid = self.at[axis].as_flattened().iter().copied().filter(|at| *at >= 0.0);
+            let (low, high) = valid.fold((f32::MAX, 0.0_f32), |(low, high), at| (low.min(at), high.max(at)));
             let pixel = |at: f32, beside: i64| {
                 let whole = i64::from(self.base[axis]) + beside;
                 whole.saturating_add(at as i64).clamp(0, i64::from(size[axis])) as usize
@@ -188,8 +188,8 @@ pub fn for_each_cell(
                     corners.copy_from_slice(&rows[(row + j) % 4][column..column + 4]);
                 }
                 let origin = at((stripe + column) as i64, row as i64);
-                let is_seen = fill(map, &corners, &origin, kernels, &mut positions);
-                visit(((stripe + column) * CELL, row * CELL), is_seen.then_some(&positions));
+                let is_visible = fill(map, &corners, &origin, kernels, &mut positions);
+                visit(((stripe + column) * CELL, row * CELL), is_visible.then_some(&positions));
             }
         }
     }

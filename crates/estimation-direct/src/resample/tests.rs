@@ -95,12 +95,12 @@ fn windows_agree_with_the_plain_path_of_the_whole_image() {
         let reference = plain(&map, &raw);
         let mut out = ColourPlanes::default();
         resample(&map, (&raw).into(), WHOLE, Wanted::Rgb, Kernels::best(), &mut out);
-        let (mut seen, mut other) = (0, 0);
+        let (mut visible, mut other) = (0, 0);
         for (i, expected) in reference.iter().enumerate() {
             let flags = out.flags[i];
             match expected {
                 Some((rgb, expected)) if flags & UNSEEN == 0 => {
-                    seen += 1;
+                    visible += 1;
                     other += usize::from(flags != *expected);
                     // The table rounds to 1/256 px; saturated edges are steep.
                     let limit = if saturated { 2.5 } else { 0.3 };
@@ -115,7 +115,7 @@ fn windows_agree_with_the_plain_path_of_the_whole_image() {
             }
         }
         assert!(other <= 8 + reference.len() / 500, "{name}: {other} of {} pixels", reference.len());
-        assert_eq!(seen > 1000, name != "nothing in view", "{name}: {seen}");
+        assert_eq!(visible > 1000, name != "nothing in view", "{name}: {visible}");
     }
 }
 
@@ -182,7 +182,7 @@ fn reduced_windows_agree_with_means_of_the_raw_image_with_every_kernel() {
             assert!(bits(first) == bits(&out) && first.flags == out.flags, "{name} {}", kernels.set().name());
         }
         let out = first.unwrap();
-        let mut seen = 0;
+        let mut visible = 0;
         for i in 0..out.flags.len() {
             let (x, y) = (i % out.window.width + 3, i / out.window.width + 2);
             let at = map.source(&Vector2::new(x as f64, y as f64)).unwrap();
@@ -205,9 +205,9 @@ fn reduced_windows_agree_with_means_of_the_raw_image_with_every_kernel() {
                 let gap = (f64::from(plane.values()[i]) - expected).abs();
                 assert!(gap < 0.3, "{name} by {scale}: pixel {i} is off by {gap}");
             }
-            seen += usize::from((out.flags[i] == SATURATED) == is_saturated);
+            visible += usize::from((out.flags[i] == SATURATED) == is_saturated);
         }
-        assert!(seen * 10 > 7 * out.flags.len(), "{name} by {scale}: {seen} of {}", out.flags.len());
+        assert!(visible * 10 > 7 * out.flags.len(), "{name} by {scale}: {visible} of {}", out.flags.len());
     }
 }
 

@@ -91,8 +91,8 @@ impl Expected {
         let inverse_depth = self.plane.dot(&ray);
         let later = self.later_from_now.transform_point(&(ray / inverse_depth).into());
         let pixel = (later.xy().coords / later.z).component_mul(&g.focal_px) + g.left_principal_px;
-        let is_seen = inverse_depth > 0.0 && later.z > 0.0;
-        is_seen.then(|| pixel - Vector2::new(g.disparity_px(later.z), 0.0))
+        let is_visible = inverse_depth > 0.0 && later.z > 0.0;
+        is_visible.then(|| pixel - Vector2::new(g.disparity_px(later.z), 0.0))
     }
 
     /// Disparities of a point, pixels.

@@ -29,7 +29,7 @@ pub struct Aggregation {
     /// Per pixel: sub-pixel disparity index; NaN if there is no clear one.
     pub disparity: Vec<f32>,
     /// Per right column: the lowest matching sum, and in the lower half its disparity.
-    seen_from_right: Vec<u32>,
+    visible_from_right: Vec<u32>,
     /// Per lowest sum: the limit that no other sum may fall below.
     limits: Vec<u16>,
 }
@@ -107,13 +107,13 @@ impl Aggregation {
         let sums = &self.sums[y * width * stride..(y + 1) * width * stride];
         let out = &mut self.disparity[y * width..(y + 1) * width];
         // Right columns of this row: the box's columns minus all disparities.
-        self.seen_from_right.clear();
-        self.seen_from_right.resize(width + stride, u32::MAX << 16);
-        pick(kernels, sums, stride, volume.count, &self.limits, out, &mut self.seen_from_right);
+        self.visible_from_right.clear();
+        self.visible_from_right.resize(width + stride, u32::MAX << 16);
+        pick(kernels, sums, stride, volume.count, &self.limits, out, &mut self.visible_from_right);
         for (x, value) in out.iter_mut().enumerate() {
             if *value >= 0.0 {
                 let index = (*value + 0.5) as usize;
-                let other = self.seen_from_right[x + stride - 1 - index] as u16;
+                let other = self.visible_from_right[x + stride - 1 - index] as u16;
                 if other.abs_diff(index as u16) > rules.left_right_max {
                     *value = f32::NAN;
                 }
@@ -216,7 +216,7 @@ fn step<const FIRST: bool>(
 }
 
 wide! {
-    fn pick(sums: &[u16], stride: usize, count: usize, limits: &[u16], out: &mut [f32], seen_from_right: &mut [u32])
+    fn pick(sums: &[u16], stride: usize, count: usize, limits: &[u16], out: &mut [f32], visible_from_right: &mut [u32])
         = pick_kernel;
 }
 
@@ -227,7 +227,7 @@ fn pick_kernel(
     count: usize,
     limits: &[u16],
     out: &mut [f32],
-    seen_from_right: &mut [u32],
+    visible_from_right: &mut [u32],
 ) {
     // Several pixels at a time: operations common to all of them become vector instructions.
     for (batch, (sums, out)) in sums.chunks(PICKED * stride).zip(out.chunks_mut(PICKED)).enumerate() {
@@ -243,9 +243,9 @@ fn pick_kernel(
             for (three, sum) in three.iter_mut().zip(&sums[at - 1..=at + 1]) {
                 three[k] = *sum;
             }
-            let seen = &mut seen_from_right[batch * PICKED + k + stride - 1 - usize::from(best[k])];
+            let matched = &mut visible_from_right[batch * PICKED + k + stride - 1 - usize::from(best[k])];
             // Of equal sums the lower disparity wins, which is that of the first column.
-            *seen = (*seen).min(u32::from(lowest[k]) << 16 | u32::from(best[k]));
+            *matched = (*matched).min(u32::from(lowest[k]) << 16 | u32::from(best[k]));
         }
         let mut places = [f32::NAN; PICKED];
         for k in 0..PICKED {
@@ -428,8 +428,8 @@ mod tests {
                 let inside = best > 0 && best + 1 < count;
                 // Columns whose winner corresponds to the same right column.
                 let met = (0..width).filter(|&other| other as i64 - winner(other, y) as i64 == x as i64 - best as i64);
-                let seen = met.min_by_key(|&other| (sums(other, y)[winner(other, y)], other)).unwrap();
-                let agrees = winner(seen, y).abs_diff(best) <= usize::from(RULES.left_right_max);
+                let matched = met.min_by_key(|&other| (sums(other, y)[winner(other, y)], other)).unwrap();
+                let agrees = winner(matched, y).abs_diff(best) <= usize::from(RULES.left_right_max);
                 let found = aggregation.disparity[y * width + x];
                 assert_eq!(found.is_finite(), inside && !rival && agrees, "{x} {y} of {count}");
                 if found.is_finite() {

@@ -10,7 +10,7 @@ use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::wide::{LANES, wide};
 
 use crate::colour_planes::ColourPlanes;
-use crate::region_pyramid::{RegionLevel, is_seen};
+use crate::region_pyramid::{RegionLevel, is_visible};
 
 /// Pixels of a neighbourhood: 3 x 3. Chosen by hand: other sizes gave no improvement in the prototype of ADR 7 on 256 real
 /// regions.
@@ -119,7 +119,7 @@ fn describe(side: &ColourPlanes, y: i64, noise: f32, columns: Range<usize>, kern
     describe_row(kernels, rows, DESCRIPTOR as f32 * noise * noise, count, start - first, out);
     let flags = &side.flags[y as usize * width..(y as usize + 1) * width];
     for x in columns {
-        if x < start || x >= end || !is_seen(flags[x]) {
+        if x < start || x >= end || !is_visible(flags[x]) {
             for k in 0..DESCRIPTOR {
                 out[k * count + x - first] = 0;
             }

@@ -58,7 +58,7 @@ fn count_kernel(right: &HuePlane, tolerance: u16, points: &Points, projection: &
         if inside { place } else { 0 }
     };
     let (mut places, mut found) = ([0; BLOCK], [0; BLOCK]);
-    let (mut matches, mut seen) = (0_u32, 0_u32);
+    let (mut matches, mut visible) = (0_u32, 0_u32);
     for ((du, dv), hues) in points.du.chunks(BLOCK).zip(points.dv.chunks(BLOCK)).zip(points.hues.chunks(BLOCK)) {
         let relative = du.iter().zip(dv).zip(&mut places);
         match *projection {
@@ -91,8 +91,8 @@ fn count_kernel(right: &HuePlane, tolerance: u16, points: &Points, projection: &
             let valid = u32::from(pixel & hue & 1);
             let is_near = pixel.wrapping_sub(*hue).cast_signed().unsigned_abs() <= tolerance;
             matches = matches.wrapping_add(valid & u32::from(is_near));
-            seen = seen.wrapping_add(valid);
+            visible = visible.wrapping_add(valid);
         }
     }
-    [matches, seen]
+    [matches, visible]
 }

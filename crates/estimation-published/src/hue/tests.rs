@@ -55,7 +55,7 @@ fn distance_wraps_around() {
 }
 
 #[test]
-fn the_gate_is_explicit() {
+fn the_hue_gate_accepts_its_stated_range() {
     let config = HueConfig { saturation_min: 0.25, value_min: 0.2 };
     // Saturation 0.25 exactly and one step below; value 51 = 0.2 exactly and one step below; pure grey; black.
     let pixels = [[200, 150, 160], [200, 151, 160], [51, 0, 9], [50, 0, 9], [120, 120, 120], [0, 0, 0]];

@@ -1,5 +1,5 @@
-use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::plane_hypothesis::{PlaneHypothesis, SearchRange};
+use pb3dp_geometry::ranges::OutOfRange;
 
 use super::survey::{Survey, candidates};
 use super::*;
@@ -139,5 +139,5 @@ fn candidates_are_the_best_and_an_even_selection_of_ties() {
 fn bad_parameters_are_refused() {
     let bad = ObservabilityConfig { depth_spread_sure: -0.1, ..ObservabilityConfig::default() };
     let error = bad.validate().expect_err("negative");
-    assert!(matches!(error, EstimationError::Parameter { name: "probe depth_spread_sure", .. }), "{error}");
+    assert!(matches!(error, OutOfRange { name: "probe depth_spread_sure", .. }), "{error}");
 }

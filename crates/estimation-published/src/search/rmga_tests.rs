@@ -134,7 +134,7 @@ fn equal_scores_are_ranked_by_genes() {
 }
 
 #[test]
-fn nobody_scored_is_told() {
+fn a_generation_without_scores_is_reported() {
     struct Refuse;
     impl PlaneScore for Refuse {
         fn score(&self, _: &[PlaneHypothesis], scores: &mut [i32]) {

@@ -16,7 +16,7 @@ use crate::predict::{Expected, share_of};
 /// intervals after the middle of the last one is 2.5, -4 and 1.5 times the poses, and the sum of the squares is this.
 const EXTRAPOLATED: f64 = 2.5 * 2.5 + 4.0 * 4.0 + 1.5 * 1.5;
 /// The same half an interval after it, where the pose of the pair itself is known.
-const EXTRAPOLATED_SEEN: f64 = 1.5 * 1.5 + 2.0 * 2.0 + 0.5 * 0.5;
+const EXTRAPOLATED_NOISE: f64 = 1.5 * 1.5 + 2.0 * 2.0 + 0.5 * 0.5;
 /// Share of an unforeseen change of the motion that is still unknown when it was seen. Chosen with figures: swings of 200 mm/s with 20 ms.
 const UNKNOWN_SHARE: f64 = 0.5;
 /// Distance of the rays that determine a corrected plane.
@@ -107,7 +107,7 @@ impl Target {
         let is_found = self.attempt(&expected.pose, StartLevel::Resembling, frame, may_continue).is_some()
             && self.fit.misfit(&self.limits(frame.config)).is_none();
         let found = std::mem::replace(&mut self.estimate, before).cam_left_from_model;
-        self.motion.between_seen_exposures(&found, prior).filter(|_| is_found)
+        self.motion.between_tracked_exposures(&found, prior).filter(|_| is_found)
     }
 
     /// Adds the error of the motion between the exposures to the covariance: depth follows from the difference of both images. `unforeseen`: what
@@ -124,7 +124,7 @@ impl Target {
         let along = pose.inverse().transform_vector(&baseline.normalize());
         let place = covariance.fixed_view::<3, 3>(0, 0).into_owned();
         let origin = pose.translation_m();
-        let extrapolated = if unforeseen.is_some() { EXTRAPOLATED_SEEN } else { EXTRAPOLATED };
+        let extrapolated = if unforeseen.is_some() { EXTRAPOLATED_NOISE } else { EXTRAPOLATED };
         let unforeseen = unforeseen.copied().unwrap_or_else(Pose::coincident);
         let shifted = unforeseen.transform_point(&origin.into()).coords - origin;
         let variance = extrapolated * (prior.skew_s / step_s).clamp(-1.0, 1.0).powi(2) * along.dot(&(place * along))
@@ -171,8 +171,8 @@ fn true_inverse_depth(
     right_centre: &Vector3<f64>,
 ) -> Option<f64> {
     let mut depth = 1.0 / inverse_depth;
-    let seen = (ray * depth - right_centre).try_normalize(1e-9)?;
-    let across = ray - seen * seen.dot(ray);
+    let direction = (ray * depth - right_centre).try_normalize(1e-9)?;
+    let across = ray - direction * direction.dot(ray);
     for _ in 0..2 {
         let now = ray * depth;
         let shift = later_from_now.transform_point(&Point3::from(now)).coords - now;
@@ -193,10 +193,10 @@ mod tests {
         let later_from_now = Pose::exp(&Vector6::new(4e-4, -2e-4, 3e-4, 1e-3, -2e-3, 1.5e-3));
         let ray = Vector3::new(0.12, -0.07, 1.0);
         let depth_m = 0.46;
-        let seen = later_from_now.transform_point(&Point3::from(ray * depth_m)).coords - right_centre;
+        let direction = later_from_now.transform_point(&Point3::from(ray * depth_m)).coords - right_centre;
         // Triangulated: the depth on the left ray that is nearest to the right one, in the plane of the left ray and the baseline.
         let normal = ray.cross(&right_centre).normalize();
-        let in_plane = seen - normal * normal.dot(&seen);
+        let in_plane = direction - normal * normal.dot(&direction);
         let lines = nalgebra::Matrix3x2::from_columns(&[ray, -in_plane]);
         let found = lines.svd(true, true).solve(&right_centre, 1e-12).unwrap();
         assert!((found.x - depth_m).abs() > 1e-3, "the motion matters: {found}");

@@ -98,7 +98,7 @@ impl Periodic {
     }
 
     /// Whether the motion tells the found pose from displaced ones, after this many frames without the target.
-    fn is_told(&self, phase: f64, lost_frames: f64) -> bool {
+    fn is_determined(&self, phase: f64, lost_frames: f64) -> bool {
         let farther = if self.is_usual(phase) { FARTHER } else { UNUSUALLY_FARTHER };
         let farther = farther * (1.0 + lost_frames).min(LOST_MAX);
         (1.0 + farther) * phase <= 1.0 && ERRORS_IN_A_PERIOD * self.squared_error.sqrt() <= 1.0
@@ -163,18 +163,18 @@ impl Target {
         let Some(mut periodic) = self.periodic.take() else { return equations };
         for hop in 0..=HOPS_MAX {
             let phase = periodic.phase(&self.in_plane(predicted));
-            let is_told = !periodic.in_doubt && !periodic.is_open && periodic.is_told(phase, lost_frames);
-            if is_told && periodic.is_usual(phase) {
+            let is_determined = !periodic.in_doubt && !periodic.is_open && periodic.is_determined(phase, lost_frames);
+            if is_determined && periodic.is_usual(phase) {
                 break;
             }
             if hop == HOPS_MAX || !may_continue() {
-                periodic.is_open |= !is_told;
+                periodic.is_open |= !is_determined;
                 break;
             }
             let own = self.estimate.cam_left_from_model;
             match self.compare(&mut periodic, predicted, lost_frames, frame, may_continue) {
                 Compared::Alone => {
-                    periodic.is_open = !may_continue() && !is_told;
+                    periodic.is_open = !may_continue() && !is_determined;
                     periodic.in_doubt &= periodic.is_open || !self.fits_well();
                     break;
                 }
@@ -228,7 +228,7 @@ impl Target {
         let own = self.estimate.cam_left_from_model;
         let (apart, quality) = (self.in_plane(predicted), self.fit.goodness().max(1e-9));
         let has_doubt = periodic.in_doubt || periodic.is_open;
-        let is_told = !has_doubt && periodic.is_told(periodic.phase(&apart), lost_frames);
+        let is_determined = !has_doubt && periodic.is_determined(periodic.phase(&apart), lost_frames);
         let limits = self.limits(frame.config);
         let (mut is_alike, mut nearer, mut best) = (false, None, None::<(f64, Pose<CamLeft, Model>)>);
         for index in 0..2 * periodic.shifts_m.len() {
@@ -242,13 +242,13 @@ impl Target {
                 continue;
             }
             let is_better = ratio * WORSE > 1.0;
-            if is_told {
+            if is_determined {
                 is_alike |= is_better;
             } else if is_better {
                 if best.is_none_or(|(other, _)| ratio > other) {
                     best = Some((ratio, pose));
                 }
-            } else if !has_doubt && periodic.is_told(periodic.phase(&(apart + shift)), lost_frames) {
+            } else if !has_doubt && periodic.is_determined(periodic.phase(&(apart + shift)), lost_frames) {
                 nearer = Some(pose);
             } else {
                 is_alike = true;
@@ -280,7 +280,7 @@ impl Target {
         rival.examine(&problem, &estimate, &most, false)?;
         let view = &self.views[self.view].levels[0];
         let correlations = rival.correlate(view);
-        let fit = Fit::measure(&rival.seen[0], view, &rival.residuals, &correlations, points, &self.reference);
+        let fit = Fit::measure(&rival.sampled[0], view, &rival.residuals, &correlations, points, &self.reference);
         Some((fit, estimate.cam_left_from_model))
     }
 }

@@ -99,10 +99,11 @@ impl Target {
     }
 
     /// Adds the plane that this pair shows, in its left camera.
-    pub(crate) fn take_surface(&mut self, seen: Option<&SurfacePlane>) {
+    pub(crate) fn take_surface(&mut self, measured: Option<&SurfacePlane>) {
         self.evidence.looks += 1;
         let first = self.views[0].cam_left_from_model;
-        let (Some(seen), Some(of_motion), Some(of_first)) = (seen, self.covariance, self.first_pose_covariance) else {
+        let (Some(measured), Some(of_motion), Some(of_first)) = (measured, self.covariance, self.first_pose_covariance)
+        else {
             return;
         };
         let plane_block = |covariance: &Matrix6<f64>| covariance.fixed_view::<3, 3>(2, 2).into_owned();
@@ -116,10 +117,10 @@ impl Target {
                 SurfaceEvidence { looks: self.evidence.looks, age_s: self.evidence.age_s, ..Default::default() };
             self.evidence.add(&plane_of(&first), &covariance);
         }
-        let (plane, by_seen) =
-            in_first(&seen.inverse_depth_plane, &(self.estimate.cam_left_from_model * first.inverse()));
+        let (plane, by_sampled) =
+            in_first(&measured.inverse_depth_plane, &(self.estimate.cam_left_from_model * first.inverse()));
         let Some(of_motion) = in_planes(&of_motion) else { return };
-        if self.evidence.add(&plane, &(by_seen * seen.covariance * by_seen.transpose() + of_motion)) {
+        if self.evidence.add(&plane, &(by_sampled * measured.covariance * by_sampled.transpose() + of_motion)) {
             self.evidence.used += 1;
         }
     }

@@ -39,7 +39,7 @@ pub(crate) struct LookAlike {
 
 impl Target {
     /// Searches the whole first pair for similar objects.
-    pub(crate) fn look_for_twins(&mut self, frame: &Frame<'_>) {
+    pub(crate) fn find_ambiguous_views(&mut self, frame: &Frame<'_>) {
         let own = self.estimate.cam_left_from_model;
         for index in 0..hypotheses(0) {
             let (_, turned) = hypothesis(index, &own, &[]);

@@ -76,7 +76,7 @@ impl DirectTracker {
         let [z_min_m, z_max_m] = SURFACE_DEPTHS.map(|share| share * pose.translation_m().z);
         let range = SearchRange { z_min_m, z_max_m, tilt_max_rad: SURFACE_TILT_MAX_RAD };
         let region = Region::Polygon { vertices_px };
-        let seen = self.estimator.plane_of_surface(&EstimateRequest::of_target(left, right, &region, &range));
-        target.take_surface(seen.ok().flatten().as_ref());
+        let surface = self.estimator.plane_of_surface(&EstimateRequest::new_target(left, right, &region, &range));
+        target.take_surface(surface.ok().flatten().as_ref());
     }
 }

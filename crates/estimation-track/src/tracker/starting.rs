@@ -180,7 +180,7 @@ impl DirectTracker {
         self.load_both(left, right);
         let frame = self.frame();
         target.find_periods(&frame, &pixels[0]);
-        target.look_for_twins(&frame);
+        target.find_ambiguous_views(&frame);
         self.remember(&target, left, right);
         let mut estimate = blank();
         self.target = Some(target);
@@ -195,15 +195,15 @@ impl DirectTracker {
 
     /// Places the frame `model` on the visible surface, or where it was before; `false` if that is elsewhere.
     fn place_model(&mut self, target: &mut Target, how: &Begin<'_, '_>) -> bool {
-        let mut seen = None;
+        let mut surface_plane = None;
         if let Some(request) = how.request.filter(|_| target.has_relief())
             && let Ok(Some(plane)) = self.estimator.plane_of_surface(request)
         {
             target.settle_on_surface(&self.frame(), &plane);
-            seen = Some(plane);
+            surface_plane = Some(plane);
         }
-        let seen = seen.filter(|_| target.is_on_surface);
-        how.known.is_none_or(|known| target.restore_model(&self.frame(), known, seen.as_ref()))
+        let surface_plane = surface_plane.filter(|_| target.is_on_surface);
+        how.known.is_none_or(|known| target.restore_model(&self.frame(), known, surface_plane.as_ref()))
     }
 
     /// Width of the border that is excluded: less in a small region, which would lose most of its pixels.

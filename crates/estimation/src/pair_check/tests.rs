@@ -133,7 +133,7 @@ fn a_wrong_calibration_does_not_look_exchanged() {
 
 /// A lens or a calibration that is far off leaves hardly a match in the wrong order: the message then counts those.
 #[test]
-fn an_exchange_is_told_with_its_evidence() {
+fn exchanged_images_are_reported_with_evidence() {
     let exchanged = |agreeing, behind| Exchanged {
         patches: 90,
         agreeing,

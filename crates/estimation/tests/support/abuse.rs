@@ -195,7 +195,7 @@ pub fn every_method_survives(bytes: &[u8]) {
 fn estimate(method: Method, abuse: &Abuse) {
     let Ok(mut estimator) = Estimator::new(method, &abuse.rig, &EstimatorConfig::default()) else { return };
     for (left, right) in &abuse.pairs {
-        match estimator.estimate(EstimateRequest::of_target(left, right, &abuse.region, &abuse.range)) {
+        match estimator.estimate(EstimateRequest::new_target(left, right, &abuse.region, &abuse.range)) {
             Ok(estimate) => check_plane(method, &estimate),
             Err(error) => assert!(!error.to_string().is_empty(), "{method}: a silent error"),
         }
@@ -219,8 +219,12 @@ fn track(method: Method, abuse: &Abuse) {
     let Ok(mut tracker) = Tracker::new(method, &abuse.rig, &EstimatorConfig::default()) else { return };
     for (index, (left, right)) in abuse.pairs.iter().enumerate() {
         let outcome = match index {
-            0 => tracker.estimate(EstimateRequest::of_target(left, right, &abuse.region, &abuse.range)),
-            _ => tracker.estimate(EstimateRequest::of_next(left, right, &FramePrior::of_motion(abuse.motion.as_ref()))),
+            0 => tracker.estimate(EstimateRequest::new_target(left, right, &abuse.region, &abuse.range)),
+            _ => tracker.estimate(EstimateRequest::next_frame(
+                left,
+                right,
+                &FramePrior::of_motion(abuse.motion.as_ref()),
+            )),
         };
         match outcome {
             Ok(estimate) => check_track(method, &estimate),

@@ -35,14 +35,14 @@ pub fn images_in_any_form_survive(bytes: &[u8]) {
     let answers = |pairs: [[ImageView<'_>; 2]; 2]| {
         let [[left, right], next] = pairs;
         let mut answers = vec![format!("{:?}", check_pair(&rig, left, right))];
-        let target = || EstimateRequest::of_target(left, right, &region, &range);
+        let target = || EstimateRequest::new_target(left, right, &region, &range);
         if let Ok(mut estimator) = Estimator::new(method, &rig, &EstimatorConfig::default()) {
             answers.push(format!("{:?}", estimator.look(left, right)));
             answers.push(format!("{:?}", estimator.estimate(target())));
         }
         if let Ok(mut tracker) = Tracker::new(method, &rig, &EstimatorConfig::default()) {
             answers.push(format!("{:?}", tracker.estimate(target())));
-            let next = EstimateRequest::of_next(next[0], next[1], &FramePrior::default());
+            let next = EstimateRequest::next_frame(next[0], next[1], &FramePrior::default());
             answers.push(format!("{:?}", tracker.estimate(next)));
         }
         answers

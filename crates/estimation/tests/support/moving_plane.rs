@@ -149,10 +149,10 @@ type View = (Camera, Isometry3<f64>, bool);
 
 /// The wall stands still before the left camera: each camera sees it once. A board in front of everything hides the discs.
 fn background(camera: &Camera, cam_from_left: &Isometry3<f64>, is_hidden: bool) -> Background {
-    static SEEN: Mutex<Vec<(View, Background)>> = Mutex::new(Vec::new());
+    static RENDERED: Mutex<Vec<(View, Background)>> = Mutex::new(Vec::new());
     let key = (*camera, *cam_from_left, is_hidden);
-    let mut seen = SEEN.lock().unwrap_or_else(PoisonError::into_inner);
-    if let Some((_, background)) = seen.iter().find(|(other, _)| *other == key) {
+    let mut rendered = RENDERED.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some((_, background)) = rendered.iter().find(|(other, _)| *other == key) {
         return Arc::clone(background);
     }
     let left_from_cam = cam_from_left.inverse();
@@ -166,7 +166,7 @@ fn background(camera: &Camera, cam_from_left: &Isometry3<f64>, is_hidden: bool) 
         (ray, paint(wall.x * scale, wall.y * scale, seed))
     });
     let background = Arc::new(background.collect());
-    seen.push((key, Arc::clone(&background)));
+    rendered.push((key, Arc::clone(&background)));
     background
 }
 

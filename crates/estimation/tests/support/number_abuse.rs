@@ -139,7 +139,7 @@ pub fn calibrations_with_any_numbers_survive(bytes: &[u8]) {
     let method = c.of(&Method::ALL);
     if let Ok(mut estimator) = Estimator::new(method, &rig, &EstimatorConfig::default()) {
         let _ = estimator.look(left, right);
-        match estimator.estimate(EstimateRequest::of_target(left, right, &region, &range)) {
+        match estimator.estimate(EstimateRequest::new_target(left, right, &region, &range)) {
             Ok(estimate) => check_plane(method, &estimate),
             Err(error) => assert!(!error.to_string().is_empty(), "{method}: a silent error"),
         }
@@ -195,7 +195,7 @@ pub fn priors_with_any_numbers_survive(bytes: &[u8]) {
     let pair = |frame: usize| (paint(size, 8, 0, frame), paint(size, 8, 10, frame));
     let (left, right) = pair(0);
     let skew_s = if c.byte() > 64 { c.number(0.01) } else { 0.0 };
-    let started = tracker.estimate(EstimateRequest::of_target(&left, &right, &region, &range).with_skew(skew_s));
+    let started = tracker.estimate(EstimateRequest::new_target(&left, &right, &region, &range).with_skew(skew_s));
     started.iter().for_each(|estimate| check_track(method, estimate));
     for frame in 1..=1 + usize::from(c.byte() % 4) {
         let (left, right) = pair(frame);
@@ -206,7 +206,7 @@ pub fn priors_with_any_numbers_survive(bytes: &[u8]) {
             skew_s: if c.byte() > 64 { c.number(0.01) } else { 0.0 },
             skew_sigma_s: if c.byte() > 192 { c.number(0.001) } else { 0.0 },
         };
-        match tracker.estimate(EstimateRequest::of_next(&left, &right, &prior)) {
+        match tracker.estimate(EstimateRequest::next_frame(&left, &right, &prior)) {
             Ok(estimate) => check_track(method, &estimate),
             Err(error) => assert!(!error.to_string().is_empty(), "{method}: a silent error"),
         }

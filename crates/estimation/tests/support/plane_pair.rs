@@ -133,21 +133,21 @@ impl Plane {
     }
 
     /// What the rays from one place have in common.
-    pub fn from(&self, origin: &Vector3<f64>) -> SeenPlane {
+    pub fn from(&self, origin: &Vector3<f64>) -> RenderedPlane {
         let x_axis = (Vector3::x() - self.normal * self.normal.x).normalize();
         let axes = [self.normal, x_axis, self.normal.cross(&x_axis)];
-        SeenPlane { axes, place: axes.map(|axis| axis.dot(&(self.point - origin))) }
+        RenderedPlane { axes, place: axes.map(|axis| axis.dot(&(self.point - origin))) }
     }
 }
 
 /// A plane from one place: its normal and its two axes, and how far along them its point lies from there, metres.
 #[derive(Clone, Copy, Debug)]
-pub struct SeenPlane {
+pub struct RenderedPlane {
     axes: [Vector3<f64>; 3],
     place: [f64; 3],
 }
 
-impl SeenPlane {
+impl RenderedPlane {
     /// Where a ray meets the plane: coordinates in it, millimetres.
     pub fn cut(&self, ray: &Vector3<f64>) -> (f64, f64) {
         let [along, x, y] = self.axes.map(|axis| axis.dot(ray));
@@ -247,7 +247,7 @@ pub fn render(setup: &Setup, target: &Texture, background: &Texture) -> Pair {
     let plane = Plane::new(centre_ray * setup.z_m, setup.tilt_x_rad, setup.tilt_y_rad);
     let behind = Plane::new(centre_ray * (setup.z_m + setup.background_m), 0.0, 0.0);
     let before = Plane::new(centre_ray * (setup.z_m - 0.06), 0.05, -0.1);
-    let shade = |[plane, behind, before]: &[SeenPlane; 3], ray: &Vector3<f64>| -> ([f32; 3], bool, bool) {
+    let shade = |[plane, behind, before]: &[RenderedPlane; 3], ray: &Vector3<f64>| -> ([f32; 3], bool, bool) {
         let (x, y) = plane.cut(ray);
         let on_target = outline(setup, x, y);
         if setup.occluded > 0.0 {

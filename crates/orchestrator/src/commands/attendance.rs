@@ -129,10 +129,14 @@ mod tests {
             let mut operator = attendance.operator(clock, std::io::sink(), Arc::default(), None).unwrap();
             assert!(operator.can_fall_silent(), "{name:?}");
             let begin = MonotonicTime::from_secs_f64(100.0);
-            let heard = operator.listen(None, begin);
-            assert_eq!((heard.heard_at, heard.silent_after), (Some(begin), Some(Duration::from_secs(30))), "{name:?}");
-            let heard = operator.listen(None, begin + Duration::from_secs(40));
-            assert_eq!(heard.heard_at, Some(begin), "{name:?} is heard although nobody types");
+            let input = operator.listen(None, begin);
+            assert_eq!(
+                (input.heartbeat_at, input.silent_after),
+                (Some(begin), Some(Duration::from_secs(30))),
+                "{name:?}"
+            );
+            let input = operator.listen(None, begin + Duration::from_secs(40));
+            assert_eq!(input.heartbeat_at, Some(begin), "{name:?} is heard although nobody types");
         }
     }
 }

@@ -27,7 +27,7 @@ use pb3dp_setup::setup::{Setup, read_layers};
 use pb3dp_wiring::{Wired, accept_nominal, wire_at_rest, write_flights};
 use serde::Serialize;
 
-use crate::logging::last_words;
+use crate::logging::final_flush;
 
 /// Residual bound of an arm that responds with dead time and lag.
 const RESIDUAL_MAX_DEG: f64 = 0.01;
@@ -118,7 +118,7 @@ fn delay(args: &DelayArgs) -> Result<ExitCode> {
     let Wired { mut parts, monitors, .. } = wire_at_rest(&setup, swing::duration(&motion))?;
     records.iter().try_for_each(|record| record.check(&monitors))?;
     let interrupt = Arc::clone(&parts.interrupt);
-    let was_interrupted = watch(signals, &interrupt, std::mem::take(&mut parts.on_bus), last_words)?;
+    let was_interrupted = watch(signals, &interrupt, std::mem::take(&mut parts.on_bus), final_flush)?;
     let (clock, flights) = (Arc::clone(&parts.clock), parts.flights.clone());
     // Standard output is for the result.
     let listen = |console| confirm::attend(console, setup.operator_key_within, &parts, std::io::stderr());
@@ -184,7 +184,7 @@ struct Delays {
 
 impl Delays {
     fn of(setup: &Setup, swung: &Swung) -> Result<Self> {
-        if swung.seen.is_empty() {
+        if swung.observed.is_empty() {
             bail!(
                 "no estimate could be stood by in {} pairs: look at the target with pb3dp run first",
                 swung.untrusted
@@ -195,11 +195,12 @@ impl Delays {
             flange_from_hand: setup.controller.flange_from_hand,
             hand_from_cam_left: setup.controller.hand_from_cam_left,
         };
-        let poses: Vec<_> = swung.seen.iter().map(|seen| (seen.at, seen.cam_left_from_model)).collect();
+        let poses: Vec<_> = swung.observed.iter().map(|observed| (observed.at, observed.cam_left_from_model)).collect();
         let offset = exposure_offset(&poses, &swung.joints, &camera).context("stamps of the images")?;
         let ArmResponseEstimate { delay, lag, total: arm, residual_rms_rad } =
             arm_response(&swung.given, &swung.joints).context("vs-robot")?;
-        let ages_s: Vec<f64> = swung.seen.iter().map(|seen| seen.used_at.seconds_since(seen.at)).collect();
+        let ages_s: Vec<f64> =
+            swung.observed.iter().map(|observed| observed.used_at.seconds_since(observed.at)).collect();
         let age_ms = |share: f64| percentile(&ages_s, share).map_or(f64::NAN, |age_s| age_s * 1e3);
         let p50 = age_ms(50.0);
         let total = Interval {
@@ -216,7 +217,7 @@ impl Delays {
             command_to_motion: arm.into(),
             total: total.into(),
             arm_residual_deg: residual_rms_rad.to_degrees(),
-            estimates: swung.seen.len(),
+            estimates: swung.observed.len(),
             untrusted: swung.untrusted,
         })
     }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use anyhow::Result;
 use nalgebra::Vector3;
 use pb3dp_cell::parts::Parts;
-use pb3dp_cell::perception::{Marking, Sight};
+use pb3dp_cell::perception::{TargetSource, VisionInput};
 use pb3dp_panel::config::Push;
 use pb3dp_panel::{About, Panel, PanelConfig};
 use pb3dp_setup::setup::Setup;
@@ -39,9 +39,9 @@ pub fn start(at: PanelConfig, (setup, name): (&Setup, &str), parts: &mut Parts) 
     parts.operator = Box::new(operator);
     parts.spectators.push(Box::new(spectator));
     let selections = panel.selections();
-    if matches!(parts.camera, Sight::Images(_)) {
+    if matches!(parts.camera, VisionInput::Images(_)) {
         selections.set_target_of_setup(&parts.marking);
-        parts.marking = Marking::Awaited;
+        parts.marking = TargetSource::FromOperator;
     }
     parts.selections = Some(selections);
     announce(&panel, "is the operator panel; Ctrl-C ends the run")?;

@@ -49,7 +49,8 @@ pub fn run(args: &ReportArgs) -> Result<ExitCode> {
         commit: crate::COMMIT,
         wall_s: replayed.duration_s,
     };
-    let following = report::tell_of_past(&args.out, &opened.setup, &made, (&outcome, failure), print_line)?;
+    let following =
+        report::write_report_of_recording(&args.out, &opened.setup, &made, (&outcome, failure), print_line)?;
     write_parquet_tables(&args.out)?;
     if !replayed.is_led_by_person {
         following.warn();

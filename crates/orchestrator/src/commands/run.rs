@@ -32,7 +32,7 @@ use crate::commands::attendance::Attendance;
 use crate::commands::output_file::check_recording_name;
 use crate::commands::panel_of_run;
 use crate::commands::result_folder::ResultFolder;
-use crate::logging::last_words;
+use crate::logging::final_flush;
 
 /// Runs the command: experiment, then report.
 ///
@@ -67,7 +67,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     }
     let started = Instant::now();
     let interrupt = Arc::clone(&parts.interrupt);
-    let was_interrupted = watch(signals, &interrupt, std::mem::take(&mut parts.on_bus), last_words)?;
+    let was_interrupted = watch(signals, &interrupt, std::mem::take(&mut parts.on_bus), final_flush)?;
     let (clock, flights) = (Arc::clone(&parts.clock), parts.flights.clone());
     let out = args.out.clone();
     let keep_flights = move |number: usize, failure: &anyhow::Error| {
@@ -96,7 +96,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     drop(panel);
     let made =
         Made { configuration: asked.to_string(), commit: crate::COMMIT, wall_s: started.elapsed().as_secs_f64() };
-    let following = report::tell(&args.out, &setup, &made, &outcome, how, print_line)?;
+    let following = report::write_report(&args.out, &setup, &made, &outcome, how, print_line)?;
     // A person decides when the hand follows.
     if !is_led_by_person {
         following.warn();

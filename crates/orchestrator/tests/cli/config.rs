@@ -49,8 +49,8 @@ fn a_setup_that_is_begun_is_accepted_or_says_what_is_missing() {
     fs::write(&cameras, config(&["init", "cameras"]).stdout).unwrap();
     let checked = config(&["check", "--config", cameras.to_str().unwrap()]);
     assert_eq!(checked.code, Some(0), "{checked:?}");
-    for said in ["accepted for `pb3dp cameras`", "calibration.toml: does not exist yet; `pb3dp calibrate stereo`"] {
-        assert!(checked.stdout.contains(said), "{checked:?}");
+    for expected in ["accepted for `pb3dp cameras`", "calibration.toml: does not exist yet; `pb3dp calibrate stereo`"] {
+        assert!(checked.stdout.contains(expected), "{checked:?}");
     }
     let missing = config(&["check", "--config", "rig"]);
     assert_eq!(missing.code, Some(1));

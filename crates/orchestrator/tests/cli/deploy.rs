@@ -29,8 +29,8 @@ fn values(key: &str) -> Vec<String> {
 fn judged(test: &str, tool: &str, arguments: &[&str], file: &Path) -> Option<(bool, String)> {
     match Command::new(tool).args(arguments).arg(file).output() {
         Ok(output) => {
-            let said = [output.stdout, output.stderr].concat();
-            Some((output.status.success(), String::from_utf8_lossy(&said).into_owned()))
+            let output_text = [output.stdout, output.stderr].concat();
+            Some((output.status.success(), String::from_utf8_lossy(&output_text).into_owned()))
         }
         Err(error) => {
             not_checked(&format!("cli::deploy::{test}"), &format!("{tool} {arguments:?} cannot be run: {error}"));
@@ -85,22 +85,22 @@ fn systemd_finds_nothing_wrong_with_the_unit() {
             .unwrap();
         judged("systemd_finds_nothing_wrong_with_the_unit", "systemd-analyze", &["verify", "--man=no"], &file)
     };
-    let Some((works, said)) = verify(&unit()) else { return };
+    let Some((works, output_text)) = verify(&unit()) else { return };
     // It also tells of other units of the machine.
-    assert!(works && !said.contains("pb3dp"), "{said}");
-    let (_, said) = verify(&unit().replace("RestartSec=", "RestartSecs=")).unwrap();
-    assert!(said.contains("RestartSecs"), "a mistake is reported: {said}");
+    assert!(works && !output_text.contains("pb3dp"), "{output_text}");
+    let (_, output_text) = verify(&unit().replace("RestartSec=", "RestartSecs=")).unwrap();
+    assert!(output_text.contains("RestartSecs"), "a mistake is reported: {output_text}");
 }
 
 #[test]
 fn udev_finds_nothing_wrong_with_the_rules() {
     let test = "udev_finds_nothing_wrong_with_the_rules";
-    let Some((works, said)) = judged(test, "udevadm", &["verify"], &deployed("70-pb3dp.rules")) else { return };
-    if said.contains("nrecognized command") || said.contains("nknown command") {
-        let reason = format!("this udevadm is older than its command verify (254): {said}");
+    let Some((works, output_text)) = judged(test, "udevadm", &["verify"], &deployed("70-pb3dp.rules")) else { return };
+    if output_text.contains("nrecognized command") || output_text.contains("nknown command") {
+        let reason = format!("this udevadm is older than its command verify (254): {output_text}");
         return not_checked(&format!("cli::deploy::{test}"), &reason);
     }
-    assert!(works, "{said}");
+    assert!(works, "{output_text}");
 }
 
 #[test]
@@ -109,8 +109,8 @@ fn systemd_makes_the_groups() {
     std::fs::create_dir(root.path().join("etc")).unwrap();
     let rooted = format!("--root={}", root.path().display());
     let (test, file) = ("systemd_makes_the_groups", deployed("pb3dp-sysusers.conf"));
-    let Some((works, said)) = judged(test, "systemd-sysusers", &[&rooted], &file) else { return };
-    assert!(works, "{said}");
+    let Some((works, output_text)) = judged(test, "systemd-sysusers", &[&rooted], &file) else { return };
+    assert!(works, "{output_text}");
     let groups = std::fs::read_to_string(root.path().join("etc/group")).unwrap();
     for (group, member) in [("realtime", "pb3dp"), ("dialout", "pb3dp"), ("video", "")] {
         let line = groups

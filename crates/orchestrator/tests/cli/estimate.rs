@@ -301,7 +301,7 @@ fn write(folder: &Path, pair: &OnePair, name: &str, left: &RgbImage, right: &Rgb
 }
 
 #[test]
-fn to_the_published_method_a_grey_region_is_not_observable_and_groups_are_told_apart() {
+fn to_the_published_method_a_grey_region_is_not_observable_and_groups_are_distinguished() {
     let pair = OnePair::of(TargetConfig::card());
     write_grey_case(&pair.file("cases/a_grey"), &pair);
     write(&pair.file("cases/b_colour"), &pair, "colour", &pair.left, &pair.right);
@@ -340,19 +340,22 @@ fn to_the_direct_method_grey_is_as_good_as_colour() {
 
 /// Half of the region is the card, half the wall behind it.
 #[test]
-fn the_second_surface_of_a_region_is_told_with_its_share() {
+fn the_second_surface_of_a_region_is_reported_with_its_share() {
     let pair = OnePair::of(TargetConfig::card());
     let right_edge = pair.outline_px.iter().map(|[u, _]| *u).fold(f64::MIN, f64::max);
     let region = format!("rect:{:.0},{:.0},100,70", right_edge - 70.0, pair.centre_px()[1] - 35.0);
     let finished = pair.estimate("direct", &pair.file("calib.json"), &region).assert_success();
-    let told = finished.stderr.lines().find(|line| line.contains("lies on another surface"));
-    let told = told.unwrap_or_else(|| panic!("no second surface in:\n{}", finished.stderr));
-    assert!(told.contains("% of the region") && told.contains("normal"), "{told}");
+    let warning_line = finished.stderr.lines().find(|line| line.contains("lies on another surface"));
+    let warning_line = warning_line.unwrap_or_else(|| panic!("no second surface in:\n{}", finished.stderr));
+    assert!(warning_line.contains("% of the region") && warning_line.contains("normal"), "{warning_line}");
     let line = &finished.json_lines(&ESTIMATE_KEYS)[0];
     let second = &line["second_plane"];
     let [u, v] = [numbers(&line["centroid_px"])[0], numbers(&line["centroid_px"])[1]];
     assert!((u - (right_edge - 20.5)).abs() < 1.0 && (v - pair.centre_px()[1]).abs() < 1.0, "{line}");
-    assert!(told.contains(&format!("z {:.2} mm", second["z_mm"].as_f64().unwrap())), "{told} but {line}");
+    assert!(
+        warning_line.contains(&format!("z {:.2} mm", second["z_mm"].as_f64().unwrap())),
+        "{warning_line} but {line}"
+    );
     assert!((0.1..0.5).contains(&second["share"].as_f64().unwrap()), "{line}");
     assert!(numbers(&second["normal"])[2] < 0.0, "{line}");
     assert!(line["row_offset_px"].as_f64().unwrap().abs() < 0.5, "{line}");
@@ -389,8 +392,8 @@ fn the_visible_surface_is_a_cloud_in_the_frame_of_the_left_camera() {
     assert!(on_card > 0.3 && behind > 0.3 && on_card + behind > 0.9, "{on_card} on the card, {behind} behind");
     assert!(points.iter().all(|[.., sigma_mm]| (0.05..200.0).contains(sigma_mm)), "{:?}", points[0]);
 
-    let told = &with(&[&"--surface", &cloud, &"--json"]).assert_success();
-    let line: Value = serde_json::from_str(told.stdout.lines().next().unwrap()).unwrap();
+    let warning_line = &with(&[&"--surface", &cloud, &"--json"]).assert_success();
+    let line: Value = serde_json::from_str(warning_line.stdout.lines().next().unwrap()).unwrap();
     assert_eq!(line["surface"]["points"], points.len(), "{line}");
     assert!(line["surface"]["measured"].as_u64().unwrap() as f64 > 0.7 * points.len() as f64, "{line}");
     // Without a surface the answer stays.

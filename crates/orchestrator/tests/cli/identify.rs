@@ -22,7 +22,7 @@ fn delays_of_the_simulated_cell_are_found() {
 }
 
 #[test]
-fn nothing_moves_without_its_word() {
+fn nothing_moves_without_the_typed_name() {
     let output = pb3dp(&["identify", "delay", "--config", &config("hil.toml")]).assert_success();
     assert!(output.stdout.contains("nothing was moved; add --move"), "{}", output.stdout);
     let refused = ["identify", "delay", "--config", &config("sim.toml"), "--move", "--way", "31"];

@@ -47,7 +47,7 @@ fn a_measured_disparity_noise_takes_the_place_of_the_images() {
 }
 
 #[test]
-fn what_speaks_against_a_head_is_said() {
+fn defects_of_a_stereo_rig_are_reported() {
     let warned = |options: &str, part: &str| {
         let json = plan(options);
         let warnings = json["warnings"].to_string();

@@ -546,7 +546,11 @@ fn the_log_says_how_far_the_cameras_have_moved() {
     let run: [&dyn AsRef<std::ffi::OsStr>; 9] =
         [&"run", &"--config", &config, &"--out", &out, &"--set", &"scene.target=card", &"--stop-after", &"3"];
     let finished = pb3dp(&words(&run)).assert_success();
-    let said: Vec<_> =
+    let warnings: Vec<_> =
         finished.stderr.lines().filter(|line| line.contains("miscalibrated: rows of the images")).collect();
-    assert!(said.len() == 1 && said[0].contains("roll +0.5") && said[0].contains("WARN"), "{}", finished.stderr);
+    assert!(
+        warnings.len() == 1 && warnings[0].contains("roll +0.5") && warnings[0].contains("WARN"),
+        "{}",
+        finished.stderr
+    );
 }

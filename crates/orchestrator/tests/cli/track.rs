@@ -179,7 +179,7 @@ fn a_sequence_without_its_first_frame_starts_with_the_second() {
 
 /// Images that show nothing: the region is tried for half a second, then a message says what to do.
 #[test]
-fn a_target_that_is_never_seen_is_given_up() {
+fn a_target_that_is_never_visible_is_given_up() {
     let dir = tempfile::tempdir().unwrap();
     let draft = SequenceDraft {
         region_polygon_left_px: vec![[300.0, 200.0], [380.0, 210.0], [360.0, 290.0]],
@@ -216,7 +216,7 @@ fn keys_of_several() -> Vec<&'static str> {
 
 /// The second target is a part of the same card: both move alike, and the first is what it is alone.
 #[test]
-fn several_targets_are_told_apart_and_do_not_disturb_each_other() {
+fn several_targets_are_distinguished_and_do_not_disturb_each_other() {
     let dir = tempfile::tempdir().unwrap();
     let sequence = dir.path().join("sequence");
     let truth = record(&sequence);
@@ -395,7 +395,7 @@ fn twice(pair: &Path) -> tempfile::TempDir {
 
 /// The recording is read twice if it states no skew.
 #[test]
-fn the_range_of_depths_that_nobody_gave_is_told_once() {
+fn the_assumed_range_of_depths_is_reported_once() {
     let case = repository().join("tests/data/cases/bb201_c0");
     let (dir, calibration, region) = (twice(&case), case.join("calib.json"), "rect:340,110,140,190");
     let all = words(&[&"track", &"--sequence", &dir.path(), &"--calib", &calibration, &"--region", &region]);
@@ -412,8 +412,8 @@ fn a_click_says_once_which_part_it_took() {
     let click = format!("click:{:.0},{:.0}", crab.centre_px()[0], crab.centre_px()[1]);
     let all = words(&[&"track", &"--sequence", &dir.path(), &"--calib", &calibration, &"--region", &click]);
     let finished = pb3dp(&all).assert_success();
-    let told = "frame 0: the click has taken ";
-    assert_eq!(finished.stderr.matches(told).count(), 1, "{}", finished.stderr);
+    let expected_click = "frame 0: the click has taken ";
+    assert_eq!(finished.stderr.matches(expected_click).count(), 1, "{}", finished.stderr);
 }
 
 /// Writes the images of a sequence into a recording of ROS 2 in this order, with stamps of the frames in `stamps`. With `changed_at`, each

@@ -178,7 +178,7 @@ fn one_file_is_enough_for_a_visit() {
 }
 
 #[test]
-fn what_can_not_be_visited_is_told() {
+fn unreachable_stops_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("stops");
     visit("bare.toml", &out, &["--here"]).assert_refused(&["use --emulated-board 9x6:20"]);

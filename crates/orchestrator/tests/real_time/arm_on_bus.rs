@@ -65,10 +65,13 @@ fn a_probe_reads_the_controller_itself() {
 #[test]
 fn a_controller_of_the_other_wire_format_is_named() {
     programs_in_real_time_beside_others(|| {
-        for (format, told, seen) in [("a", "B", "format A"), ("b", "A", "format B")] {
-            let cell = cell(&["--format", format], told);
-            let parts =
-                [&format!("the controller answers in {seen}"), "the configuration says format", "set wire_format"];
+        for (format, configured, detected_format) in [("a", "B", "format A"), ("b", "A", "format B")] {
+            let cell = cell(&["--format", format], configured);
+            let parts = [
+                &format!("the controller answers in {detected_format}"),
+                "the configuration says format",
+                "set wire_format",
+            ];
             assert_problem(&cell.pb3dp(&["probe"], None), &parts);
             let jog = cell.pb3dp(&["jog", "--axis", "7", "--by", "1", "--move"], Some("vs-robot"));
             jog.assert_refused(&parts[..2]);
@@ -135,12 +138,12 @@ fn run_on_bus(arm: &mut MockArm) -> (Child, TempDir) {
     command.args(WITHOUT_IMAGES);
     let mut run = command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     writeln!(run.stdin.as_mut().unwrap(), "tc-robot").unwrap();
-    if let Err(said) = wait_for_motion(arm, &mut run, 2.0) {
+    if let Err(printed) = wait_for_motion(arm, &mut run, 2.0) {
         // The flight recorders tell which of the arms was held up.
         let flights = ["vs", "tc"].map(|name| folder.path().join(format!("out/flight-{name}-robot.jsonl")));
         let flights = flights.map(|flight| std::fs::read_to_string(flight).unwrap_or_default());
         let causes: Vec<_> = flights.iter().filter_map(|flight| flight.lines().next()).collect();
-        panic!("{said}\n{causes:?}");
+        panic!("{printed}\n{causes:?}");
     }
     (run, folder)
 }
@@ -152,7 +155,7 @@ fn wait_for_motion(arm: &mut MockArm, program: &mut Child, deg_per_s: f64) -> Re
         let is_over = program.try_wait().unwrap().is_some();
         if is_over || Instant::now() > until {
             program.kill().ok();
-            return Err(format!("the arm did not move: {}", what_it_said(program)));
+            return Err(format!("the arm did not move: {}", output_so_far(program)));
         }
         std::thread::sleep(Duration::from_millis(20));
     }
@@ -167,7 +170,7 @@ fn interrupt_twice(program: &Child) {
     kill_process(pid, Signal::INT).unwrap();
 }
 
-fn what_it_said(run: &mut Child) -> String {
+fn output_so_far(run: &mut Child) -> String {
     let mut text = String::new();
     run.stderr.take().unwrap().read_to_string(&mut text).unwrap();
     text
@@ -190,11 +193,11 @@ fn two_signals_do_not_leave_an_arm_without_a_gateway_moving() {
         let (mut run, _folder) = run_on_bus(&mut arm);
         interrupt_twice(&run);
         let status = run.wait().unwrap();
-        let (state, said) = (arm.state(), what_it_said(&mut run));
-        assert_eq!(state[0], "controller: adjustment mode, all brakes closed", "{said}");
-        assert!(fastest_deg_per_s(&mut arm) < 0.1, "{said}");
-        assert_eq!(status.code(), Some(130), "{said}");
-        assert!(said.contains("SIGINT again: no gateway stops tc-robot"), "{said}");
+        let (state, printed) = (arm.state(), output_so_far(&mut run));
+        assert_eq!(state[0], "controller: adjustment mode, all brakes closed", "{printed}");
+        assert!(fastest_deg_per_s(&mut arm) < 0.1, "{printed}");
+        assert_eq!(status.code(), Some(130), "{printed}");
+        assert!(printed.contains("SIGINT again: no gateway stops tc-robot"), "{printed}");
         arm.quit();
     });
 }
@@ -208,14 +211,14 @@ fn a_jog_that_is_interrupted_twice_closes_the_brakes() {
         // The end of the input would end the motion, too.
         let mut typing = jog.stdin.take().unwrap();
         writeln!(typing, "vs-robot").unwrap();
-        wait_for_motion(&mut cell.arm, &mut jog, 0.5).unwrap_or_else(|said| panic!("{said}"));
+        wait_for_motion(&mut cell.arm, &mut jog, 0.5).unwrap_or_else(|printed| panic!("{printed}"));
         interrupt_twice(&jog);
         let status = jog.wait().unwrap();
         drop(typing);
-        let (state, said) = (cell.arm.state(), what_it_said(&mut jog));
-        assert_eq!(state[0], "controller: adjustment mode, all brakes closed", "{said}");
-        assert_eq!(status.code(), Some(1), "{said}");
-        assert!(said.contains("ended by SIGINT"), "{said}");
+        let (state, printed) = (cell.arm.state(), output_so_far(&mut jog));
+        assert_eq!(state[0], "controller: adjustment mode, all brakes closed", "{printed}");
+        assert_eq!(status.code(), Some(1), "{printed}");
+        assert!(printed.contains("ended by SIGINT"), "{printed}");
         cell.arm.quit();
     });
 }
@@ -276,9 +279,9 @@ fn tables_that_do_not_fit_are_refused_by_key() {
     let folder = tempfile::tempdir().unwrap();
     with_bus(&folder, "arcnet:no-such-bus", good);
     let config = folder.path().join("cell.toml").display().to_string();
-    let seen = pb3dp(&["arm", "probe", "--config", &config, "--arm", "vs"]);
-    assert_problem(&seen, &["ARCNET interface no-such-bus", "load the card's driver"]);
+    let detected_format = pb3dp(&["arm", "probe", "--config", &config, "--arm", "vs"]);
+    assert_problem(&detected_format, &["ARCNET interface no-such-bus", "load the card's driver"]);
     write_setup(&folder, |vs| vs.replacen("backend = \"emulated\"", "backend = \"arcnet\"", 1));
-    let seen = pb3dp(&["arm", "probe", "--config", &config, "--arm", "vs"]);
-    seen.assert_refused(&["arms.vs.gateway: an arm with backend = \"arcnet\" has none"]);
+    let detected_format = pb3dp(&["arm", "probe", "--config", &config, "--arm", "vs"]);
+    detected_format.assert_refused(&["arms.vs.gateway: an arm with backend = \"arcnet\" has none"]);
 }

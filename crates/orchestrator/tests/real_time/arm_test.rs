@@ -146,7 +146,7 @@ struct Rehearsal {
     child: Child,
     input: ChildStdin,
     lines: Receiver<String>,
-    seen: String,
+    output_text: String,
 }
 
 impl Rehearsal {
@@ -160,7 +160,7 @@ impl Rehearsal {
                 sender.send(line.unwrap()).ok();
             }
         });
-        Self { child, input, lines, seen: String::new() }
+        Self { child, input, lines, output_text: String::new() }
     }
 
     /// With the steps that are named, by moves of 2 degrees.
@@ -179,29 +179,29 @@ impl Rehearsal {
         loop {
             let Ok(line) = self.lines.recv_timeout(Duration::from_secs(40)) else {
                 self.child.kill().unwrap();
-                self.child.stderr.take().unwrap().read_to_string(&mut self.seen).unwrap();
-                panic!("{part:?} did not come:\n{}", self.seen);
+                self.child.stderr.take().unwrap().read_to_string(&mut self.output_text).unwrap();
+                panic!("{part:?} did not come:\n{}", self.output_text);
             };
-            self.seen += &format!("{line}\n");
+            self.output_text += &format!("{line}\n");
             if line.contains(part) {
                 return;
             }
-            assert!(since.elapsed() < Duration::from_secs(60), "{part:?} did not come:\n{}", self.seen);
+            assert!(since.elapsed() < Duration::from_secs(60), "{part:?} did not come:\n{}", self.output_text);
         }
     }
 
     /// A complaint comes before the question; else a panic with what the gateway says of itself.
     fn complains(&mut self, complaint: &str, question: &str, cell: &Cell) {
-        let end = |seen: &str| seen.contains(complaint) || seen.contains(question);
-        let before = self.seen.len();
-        while !end(&self.seen[before..]) {
+        let end = |output_text: &str| output_text.contains(complaint) || output_text.contains(question);
+        let before = self.output_text.len();
+        while !end(&self.output_text[before..]) {
             self.until("");
         }
-        if !self.seen[before..].contains(complaint) {
+        if !self.output_text[before..].contains(complaint) {
             self.child.kill().unwrap();
             self.child.wait().unwrap();
             let probe = cell.pb3dp(&["probe", "--exchanges", "10"], None);
-            panic!("{complaint:?} did not come:\n{}{}{}", self.seen, probe.stdout, probe.stderr);
+            panic!("{complaint:?} did not come:\n{}{}{}", self.output_text, probe.stdout, probe.stderr);
         }
     }
 
@@ -217,13 +217,13 @@ impl Rehearsal {
             if let Some(status) = self.child.try_wait().unwrap() {
                 break status;
             }
-            assert!(since.elapsed() < Duration::from_secs(60), "it does not end:\n{}", self.seen);
+            assert!(since.elapsed() < Duration::from_secs(60), "it does not end:\n{}", self.output_text);
             std::thread::sleep(Duration::from_millis(10));
         };
-        self.seen.extend(self.lines.iter().map(|line| line + "\n"));
-        self.child.stderr.take().unwrap().read_to_string(&mut self.seen).unwrap();
-        assert!(!self.seen.contains("panicked"), "{}", self.seen);
-        (status.code(), self.seen)
+        self.output_text.extend(self.lines.iter().map(|line| line + "\n"));
+        self.child.stderr.take().unwrap().read_to_string(&mut self.output_text).unwrap();
+        assert!(!self.output_text.contains("panicked"), "{}", self.output_text);
+        (status.code(), self.output_text)
     }
 }
 
@@ -575,14 +575,14 @@ fn a_terminal_that_is_closed_during_a_step_leaves_a_report() {
         let args = ["test", "--only", "comms", "--move", "--out", &out_text];
         let mut child = command(&cell.config().display().to_string(), &args).stdout(screen).spawn().unwrap();
         let mut input = child.stdin.take().unwrap();
-        let mut seen = String::new();
+        let mut output_text = String::new();
         let mut until = |part: &str| {
             let since = Instant::now();
-            while !seen.contains(part) {
-                assert!(since.elapsed() < Duration::from_secs(40), "{part:?} did not come:\n{seen}");
+            while !output_text.contains(part) {
+                assert!(since.elapsed() < Duration::from_secs(40), "{part:?} did not come:\n{output_text}");
                 let mut bytes = [0; 4096];
                 let count = terminal.try_read(&mut bytes).unwrap();
-                seen += &String::from_utf8_lossy(&bytes[..count]);
+                output_text += &String::from_utf8_lossy(&bytes[..count]);
                 std::thread::sleep(Duration::from_millis(10));
             }
         };

@@ -37,7 +37,7 @@ const WITHOUT_RECORD: [&str; 12] = [
 struct Moving {
     program: Child,
     terminal: Option<Pty>,
-    seen: Vec<String>,
+    lines_read: Vec<String>,
     written: [Receiver<String>; 2],
 }
 
@@ -56,7 +56,7 @@ impl Moving {
         command.stdin(input).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut program = command.spawn().unwrap();
         let written = [program_lines(program.stdout.take().unwrap()), program_lines(program.stderr.take().unwrap())];
-        let mut moving = Self { program, terminal: Some(terminal), seen: Vec::new(), written };
+        let mut moving = Self { program, terminal: Some(terminal), lines_read: Vec::new(), written };
         moving.wait_for("ype vs-robot");
         // What was typed before the prompt does not count.
         std::thread::sleep(Duration::from_millis(300));
@@ -70,13 +70,13 @@ impl Moving {
     }
 
     fn read(&mut self) {
-        self.seen.extend(self.written.iter().flat_map(Receiver::try_iter));
+        self.lines_read.extend(self.written.iter().flat_map(Receiver::try_iter));
     }
 
     fn wait_for(&mut self, text: &str) {
         let begin = Instant::now();
-        while !self.seen.iter().any(|line| line.contains(text)) {
-            assert!(begin.elapsed() < Duration::from_secs(90), "{text:?} was not written: {:#?}", self.seen);
+        while !self.lines_read.iter().any(|line| line.contains(text)) {
+            assert!(begin.elapsed() < Duration::from_secs(90), "{text:?} was not written: {:#?}", self.lines_read);
             std::thread::sleep(Duration::from_millis(20));
             self.read();
         }
@@ -89,7 +89,11 @@ impl Moving {
         while !moved(cell.joints().0) {
             self.read();
             let has_ended = self.program.try_wait().unwrap().is_some();
-            assert!(!has_ended && begin.elapsed() < Duration::from_secs(60), "it does not move: {:#?}", self.seen);
+            assert!(
+                !has_ended && begin.elapsed() < Duration::from_secs(60),
+                "it does not move: {:#?}",
+                self.lines_read
+            );
             std::thread::sleep(Duration::from_millis(20));
         }
     }
@@ -102,13 +106,13 @@ impl Moving {
                 break status;
             }
             self.read();
-            assert!(begin.elapsed() < within, "it goes on: {:#?}", self.seen);
+            assert!(begin.elapsed() < within, "it goes on: {:#?}", self.lines_read);
             std::thread::sleep(Duration::from_millis(10));
         };
         let took = begin.elapsed();
         std::thread::sleep(Duration::from_millis(200));
         self.read();
-        (self.seen.join("\n"), status.code(), took)
+        (self.lines_read.join("\n"), status.code(), took)
     }
 }
 
@@ -133,13 +137,13 @@ fn what_means_stop_ends_a_jog_and_another_line_does_not() {
                 "closed" => drop(jog.terminal.take()),
                 text => jog.say(text),
             }
-            let (seen, code, _) = jog.end(Duration::from_secs(5));
+            let (lines_read, code, _) = jog.end(Duration::from_secs(5));
             let ending = match text {
                 "\x04" | "closed" => "ended by the end of standard input".to_owned(),
                 text => format!("ended by {:?}, which was typed", text.trim_end()),
             };
-            let is_stopped = seen.contains(&ending) && seen.contains("the stop order given");
-            assert!(is_stopped && code == Some(1), "{text:?} {code:?}: {seen}");
+            let is_stopped = lines_read.contains(&ending) && lines_read.contains("the stop order given");
+            assert!(is_stopped && code == Some(1), "{text:?} {code:?}: {lines_read}");
             assert!(cell.joints().1, "{text:?}: all brakes are closed");
             cell.arm.quit();
         });
@@ -156,10 +160,10 @@ fn an_arm_beside_which_nobody_presses_enter_stops() {
         jog.wait_for("press Enter at least every 5 s");
         for _ in 0..2 {
             jog.wait_for("are you there? press Enter now");
-            jog.seen.clear();
+            jog.lines_read.clear();
             jog.say("\n");
         }
-        let (seen, code, took) = jog.end(Duration::from_secs(8));
+        let (lines_read, code, took) = jog.end(Duration::from_secs(8));
         assert!(took > Duration::from_secs(3), "{took:?}");
         for part in [
             "are you there?",
@@ -168,7 +172,7 @@ fn an_arm_beside_which_nobody_presses_enter_stops() {
             "the stop order given",
             "PB3DP-SUP-005",
         ] {
-            assert!(seen.contains(part), "{part:?} is missing in: {seen}");
+            assert!(lines_read.contains(part), "{part:?} is missing in: {lines_read}");
         }
         assert!(code == Some(1) && cell.joints().1, "{code:?}");
         cell.arm.quit();
@@ -203,9 +207,9 @@ fn what_means_stop_and_silence_end_a_tour_and_a_measured_motion() {
                 moving.wait_until_it_moves(&mut cell, 0.2);
                 moving.say("please stop\n");
             }
-            let (seen, code, _) = moving.end(Duration::from_secs(within_s));
-            assert!(parts.iter().all(|part| seen.contains(part)), "{args:?}: {seen}");
-            assert!(code == Some(130) && cell.joints().1, "{args:?} {code:?}: {seen}");
+            let (lines_read, code, _) = moving.end(Duration::from_secs(within_s));
+            assert!(parts.iter().all(|part| lines_read.contains(part)), "{args:?}: {lines_read}");
+            assert!(code == Some(130) && cell.joints().1, "{args:?} {code:?}: {lines_read}");
             cell.arm.quit();
         });
     });

@@ -105,11 +105,18 @@ fn an_arm_is_probed_over_tls() {
         std::fs::write(&file, text).unwrap();
         let missing = probe();
         assert!(!missing.success, "{}", missing.stdout);
-        let told = missing.stdout + &missing.stderr;
-        assert!(told.contains("arms.vs.gateway.certificate") && told.contains("arm1.crt: cannot be read"), "{told}");
+        let printed = missing.stdout + &missing.stderr;
+        assert!(
+            printed.contains("arms.vs.gateway.certificate") && printed.contains("arm1.crt: cannot be read"),
+            "{printed}"
+        );
         std::fs::copy(gateway.folder.path().join("arm1.crt"), &pinned).unwrap();
-        let seen = probe().assert_success();
-        assert!(seen.stdout.contains("gateway: \"pb3dp gateway") && seen.stdout.contains("0 lost"), "{}", seen.stdout);
+        let output_text = probe().assert_success();
+        assert!(
+            output_text.stdout.contains("gateway: \"pb3dp gateway") && output_text.stdout.contains("0 lost"),
+            "{}",
+            output_text.stdout
+        );
         std::fs::remove_file(&pinned).unwrap();
         new_certificate(&pinned);
         assert_problem(&probe(), &["has another certificate than `gateway.certificate`"]);
@@ -133,8 +140,8 @@ fn a_gateway_that_stops_later_than_the_limiter_counts_on_moves_nothing() {
         let text = std::fs::read_to_string(&file).unwrap();
         std::fs::write(&file, text.replacen("command_timeout_millis = 50.0", "command_timeout_millis = 120.0", 1))
             .unwrap();
-        let seen = pb3dp_arm(&config, &["jog", "--axis", "7", "--by", "1"], None).assert_success();
-        assert!(seen.stdout.contains("dry run"), "{}", seen.stdout);
+        let output_text = pb3dp_arm(&config, &["jog", "--axis", "7", "--by", "1"], None).assert_success();
+        assert!(output_text.stdout.contains("dry run"), "{}", output_text.stdout);
         gateway.end();
     });
 }

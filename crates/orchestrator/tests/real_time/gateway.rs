@@ -110,7 +110,7 @@ impl Scene {
     fn lead_to_moving(&mut self) {
         self.host.open();
         self.host.lead_to_moving();
-        assert!(!self.emulation.seen().is_braked);
+        assert!(!self.emulation.observed().is_braked);
     }
 
     fn log(&self) -> String {
@@ -130,7 +130,7 @@ impl Scene {
     }
 
     fn must_be_braked(&self) {
-        self.emulation.wait_for("braked", |seen| seen.is_braked && seen.mode == ControlMode::Adjustment);
+        self.emulation.wait_for("braked", |observed| observed.is_braked && observed.mode == ControlMode::Adjustment);
     }
 }
 
@@ -154,7 +154,7 @@ fn a_signal_ends_it_through_the_stop_order() {
                 assert!(scene.ended().success());
                 scene.must_be_braked();
                 // E came: the controller did not have to stop by itself.
-                let counters = scene.emulation.seen().counters;
+                let counters = scene.emulation.observed().counters;
                 assert_eq!((counters.watchdog_trips, counters.forbidden, counters.malformed), (0, 0, 0));
                 let log = scene.log();
                 for part in ["gateway of arm 2", "moving -> stopping", "stopping -> idle", "ended idle", "cycles"] {
@@ -179,7 +179,7 @@ fn no_key_suspends_it_while_the_arm_moves() {
             scene.signal(Signal::TERM);
             assert!(scene.ended().success());
             scene.must_be_braked();
-            assert_eq!(scene.emulation.seen().counters.watchdog_trips, 0);
+            assert_eq!(scene.emulation.observed().counters.watchdog_trips, 0);
         });
     });
 }
@@ -190,8 +190,8 @@ fn its_log_names_axis_and_alarm_of_a_fault() {
     programs_in_real_time_beside_others(|| {
         with_scene(|scene| {
             scene.emulation.inject("alarm 4 0x0e");
-            let told = "moving -> fault: servo-alarm: axis 4 (E1), status word 0x";
-            wait_for("it says so", || scene.log().contains(told).then_some(()));
+            let expected_line = "moving -> fault: servo-alarm: axis 4 (E1), status word 0x";
+            wait_for("it says so", || scene.log().contains(expected_line).then_some(()));
             assert!(scene.log().contains("alarm 0x0e (over-current)"), "{}", scene.log());
             scene.host.run_for(LONG, |host| host.driver.state() == DriverState::Fault);
             scene.signal(Signal::TERM);
@@ -237,7 +237,7 @@ fn after_a_kill_the_controller_stops_the_arm() {
             scene.signal(Signal::KILL);
             scene.ended();
             scene.must_be_braked();
-            assert_eq!(scene.emulation.seen().counters.watchdog_trips, 1);
+            assert_eq!(scene.emulation.observed().counters.watchdog_trips, 1);
             scene.host.run_for(LONG, |host| host.driver.state() == DriverState::Fault);
             let now = pb3dp_hal_platform::realtime::now();
             assert!(scene.host.driver.handle_request(now, Request::Move(world::velocity())).is_err());
@@ -253,7 +253,7 @@ fn a_gateway_that_was_held_up_latches() {
         with_scene(|scene| {
             scene.signal(Signal::STOP);
             scene.must_be_braked();
-            assert_eq!(scene.emulation.seen().counters.watchdog_trips, 1);
+            assert_eq!(scene.emulation.observed().counters.watchdog_trips, 1);
             scene.signal(Signal::CONT);
             wait_for("it latches", || scene.log().contains("cycle-missed").then_some(()));
             scene.host.run_for(LONG, |host| host.driver.state() == DriverState::Fault);

@@ -17,7 +17,7 @@ struct Led {
     terminal: Pty,
     answers: Receiver<String>,
     log: Receiver<String>,
-    seen: Vec<String>,
+    lines_read: Vec<String>,
 }
 
 impl Led {
@@ -30,7 +30,7 @@ impl Led {
         let mut program = command.spawn().unwrap();
         let (answers, log) =
             (program_lines(program.stdout.take().unwrap()), program_lines(program.stderr.take().unwrap()));
-        Self { program, terminal, answers, log, seen: Vec::new() }
+        Self { program, terminal, answers, log, lines_read: Vec::new() }
     }
 
     fn say(&mut self, line: &str) {
@@ -40,13 +40,13 @@ impl Led {
     /// Waits until a line contains this text, and repeats a command every second meanwhile.
     fn wait_for(&mut self, text: &str, again: Option<&str>) {
         let begin = Instant::now();
-        while !self.seen.iter().any(|line| line.contains(text)) {
-            assert!(begin.elapsed() < Duration::from_secs(90), "{text:?} was not written: {:#?}", self.seen);
+        while !self.lines_read.iter().any(|line| line.contains(text)) {
+            assert!(begin.elapsed() < Duration::from_secs(90), "{text:?} was not written: {:#?}", self.lines_read);
             if let Some(again) = again {
                 self.say(again);
             }
             std::thread::sleep(Duration::from_secs(1));
-            self.seen.extend(self.answers.try_iter().chain(self.log.try_iter()));
+            self.lines_read.extend(self.answers.try_iter().chain(self.log.try_iter()));
         }
     }
 }
@@ -72,7 +72,7 @@ fn a_terminal_at_which_nobody_types_holds_both_arms() {
         run.wait_for("holding: the newest sign of life from the operator is 5.0", None);
         // Enter alone moves nothing.
         run.say("");
-        run.seen.clear();
+        run.lines_read.clear();
         run.wait_for("; use resume", Some("status"));
         run.say("quit");
         run.wait_for("report", None);

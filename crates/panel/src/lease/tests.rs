@@ -24,7 +24,7 @@ fn taken() -> (Lease, Counting, Session, Nonce) {
     let (mut lease, mut random) = (Lease::default(), Counting(0));
     let Taken { session, nonce, holder, is_take_over } = lease.take("lab PC", false, &mut random, at(1.0)).unwrap();
     assert_eq!((holder.id, holder.name.as_str(), is_take_over), (1, "lab PC", false));
-    assert_eq!(lease.heard_at(), Some(at(1.0)), "taking is a sign of life");
+    assert_eq!(lease.heartbeat_at(), Some(at(1.0)), "taking is a sign of life");
     (lease, random, session, nonce)
 }
 
@@ -40,9 +40,9 @@ const NONCE: Option<&str> = Some("PB3DP-PAN-023");
 fn each_nonce_counts_once() {
     let (mut lease, _, session, nonce) = taken();
     assert_eq!(lease.heartbeat(Some(session), answer(nonce), at(1.1)), Ok(Sign::Alive));
-    assert_eq!(lease.heard_at(), Some(at(1.1)));
+    assert_eq!(lease.heartbeat_at(), Some(at(1.1)));
     assert_eq!(code(lease.heartbeat(Some(session), answer(nonce), at(1.2))), NONCE, "replayed");
-    assert_eq!(lease.heard_at(), Some(at(1.1)), "a replayed heartbeat is no sign of life");
+    assert_eq!(lease.heartbeat_at(), Some(at(1.1)), "a replayed heartbeat is no sign of life");
 }
 
 #[test]
@@ -55,7 +55,7 @@ fn only_the_two_newest_nonces_count_and_none_before_an_answered_one() {
     assert_eq!(code(lease.heartbeat(Some(session), answer(second), at(1.3))), NONCE, "reordered");
     let foreign = Nonce::from_hex("ffffffffffffffff").unwrap();
     assert_eq!(code(lease.heartbeat(Some(session), answer(foreign), at(1.3))), NONCE, "never sent");
-    assert_eq!(lease.heard_at(), Some(at(1.2)));
+    assert_eq!(lease.heartbeat_at(), Some(at(1.2)));
 }
 
 #[test]
@@ -87,10 +87,10 @@ fn a_hidden_page_is_silent_at_once_and_alive_again_when_it_is_shown() {
     let (mut lease, mut random, session, nonce) = taken();
     let hidden = Heartbeat { visible: false, ..answer(nonce) };
     assert_eq!(lease.heartbeat(Some(session), hidden, at(1.1)), Ok(Sign::Hidden));
-    assert_eq!(lease.heard_at(), None);
+    assert_eq!(lease.heartbeat_at(), None);
     let nonce = lease.next_nonce(Some(session), &mut random, at(1.2)).unwrap();
     assert_eq!(lease.heartbeat(Some(session), answer(nonce), at(1.3)), Ok(Sign::Alive));
-    assert_eq!(lease.heard_at(), Some(at(1.3)));
+    assert_eq!(lease.heartbeat_at(), Some(at(1.3)));
 }
 
 #[test]
@@ -98,11 +98,11 @@ fn with_hold_to_run_only_a_pressed_button_counts_while_an_arm_may_move() {
     let (mut lease, mut random, session, nonce) = taken();
     let released = Heartbeat { needs_press: true, ..answer(nonce) };
     assert_eq!(lease.heartbeat(Some(session), released, at(1.1)), Ok(Sign::Released));
-    assert_eq!(lease.heard_at(), Some(at(1.0)));
+    assert_eq!(lease.heartbeat_at(), Some(at(1.0)));
     let nonce = lease.next_nonce(Some(session), &mut random, at(1.2)).unwrap();
     let pressed = Heartbeat { needs_press: true, pressed: true, ..answer(nonce) };
     assert_eq!(lease.heartbeat(Some(session), pressed, at(1.3)), Ok(Sign::Alive));
-    assert_eq!(lease.heard_at(), Some(at(1.3)));
+    assert_eq!(lease.heartbeat_at(), Some(at(1.3)));
 }
 
 #[test]
@@ -113,7 +113,7 @@ fn a_lease_is_free_after_thirty_seconds_of_silence() {
     assert!(lease.holder(at(31.0)).is_none());
     assert_eq!(code(lease.heartbeat(Some(session), answer(nonce), at(31.0))), NOT_HOLDER, "too late");
     assert_eq!(lease.expire(at(31.0)).map(|holder| holder.id), Some(1));
-    assert_eq!(lease.heard_at(), None);
+    assert_eq!(lease.heartbeat_at(), None);
     let later = lease.take("tablet", false, &mut random, at(31.0)).unwrap();
     assert!(!later.is_take_over);
 }
@@ -122,7 +122,7 @@ fn a_lease_is_free_after_thirty_seconds_of_silence() {
 fn a_released_lease_has_no_sign_of_life() {
     let (mut lease, mut random, session, _) = taken();
     assert!(lease.release(Some(session), at(1.5)).is_ok());
-    assert_eq!((lease.holder(at(1.5)), lease.heard_at()), (None, None));
+    assert_eq!((lease.holder(at(1.5)), lease.heartbeat_at()), (None, None));
     assert_eq!(code(lease.release(Some(session), at(1.6))), NOT_HOLDER);
     assert!(lease.take("tablet", false, &mut random, at(1.6)).is_ok());
 }

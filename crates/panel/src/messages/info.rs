@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::socket::PROTOCOL;
 use super::{Transform, Triple, transform, transform_of};
-use crate::about::{About, AboutArm};
+use crate::facts::{About, AboutArm};
 
 /// Answer of `GET /api/info`.
 #[derive(Clone, Debug, Serialize)]

@@ -3,7 +3,7 @@
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
-use crate::seen::Seen;
+use crate::staleness::ShownState;
 
 /// `POST /api/lease`.
 #[derive(Clone, Debug, Deserialize)]
@@ -58,15 +58,17 @@ pub struct SelectRequest {
     /// Name of a target chosen before, instead of a region.
     pub saved: Option<String>,
     /// What the operator saw.
-    pub seen: Seen,
+    #[serde(rename = "seen")]
+    pub shown: ShownState,
 }
 
 /// `POST /api/start`, `resume`, `reset`.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct SeenRequest {
+pub struct ShownRequest {
     /// What the operator saw.
-    pub seen: Seen,
+    #[serde(rename = "seen")]
+    pub shown: ShownState,
 }
 
 /// `POST /api/hold`.
@@ -78,7 +80,8 @@ pub struct HoldRequest {
     pub hand_only: bool,
     /// Accepted so that a script can send it with every command; not read, because a hold only ends motion.
     #[serde(default)]
-    pub seen: IgnoredAny,
+    #[serde(rename = "seen")]
+    pub shown: IgnoredAny,
 }
 
 /// `POST /api/speed`.
@@ -88,7 +91,8 @@ pub struct SpeedRequest {
     /// Share of what the setup allows, percent.
     pub percent: f64,
     /// What the operator saw.
-    pub seen: Seen,
+    #[serde(rename = "seen")]
+    pub shown: ShownState,
 }
 
 /// `POST /api/jog`: absolute offset of the desired pose of the hand, in axes of the hand.
@@ -100,7 +104,8 @@ pub struct JogRequest {
     /// Rotation vector, degrees.
     pub offset_deg: [f64; 3],
     /// What the operator saw.
-    pub seen: Seen,
+    #[serde(rename = "seen")]
+    pub shown: ShownState,
 }
 
 /// `POST /api/preview`.
@@ -124,7 +129,8 @@ pub struct PushRequest {
     pub turn_deg: f64,
     /// As in [`HoldRequest`]: a push moves no arm by itself.
     #[serde(default)]
-    pub seen: IgnoredAny,
+    #[serde(rename = "seen")]
+    pub shown: IgnoredAny,
 }
 
 /// `POST /api/controls`: a control of a real camera.
@@ -139,7 +145,8 @@ pub struct ControlRequest {
     pub value: i32,
     /// As in [`HoldRequest`]: the server itself checks that no arm may move.
     #[serde(default)]
-    pub seen: IgnoredAny,
+    #[serde(rename = "seen")]
+    pub shown: IgnoredAny,
 }
 
 /// One of the two cameras.

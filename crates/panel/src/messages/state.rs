@@ -82,7 +82,8 @@ pub struct OperatorState {
     /// Who holds the lease.
     pub holder: Option<HolderState>,
     /// Age of the last sign of life.
-    pub heard_ms_ago: Option<f64>,
+    #[serde(rename = "heard_ms_ago")]
+    pub heartbeat_ms_ago: Option<f64>,
     /// A problem that the operator must know.
     pub trouble: Option<String>,
 }

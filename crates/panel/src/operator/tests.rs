@@ -44,16 +44,16 @@ impl Bench {
     fn step(&mut self, state: State) -> Option<OperatorCommand> {
         self.now += 10;
         let last = decision(state);
-        let heard = self.operator.listen(Some(&last), at(self.now));
-        assert_eq!(heard.silent_after, Some(SILENT_AFTER));
+        let input = self.operator.listen(Some(&last), at(self.now));
+        assert_eq!(input.silent_after, Some(SILENT_AFTER));
         self.operator.show(&last);
-        heard.said.map(|said| said.word)
+        input.request.map(|request| request.command)
     }
 
     fn queue(&mut self, command: OperatorCommand) -> u64 {
         let id = self.link.next_id();
-        let state_seen = self.link.number.load(Ordering::SeqCst);
-        assert!(self.link.queue(GivenCommand { id, command, at: at(self.now), state_seen }));
+        let shown_state = self.link.number.load(Ordering::SeqCst);
+        assert!(self.link.queue(GivenCommand { id, command, at: at(self.now), shown_state }));
         id
     }
 
@@ -63,13 +63,15 @@ impl Bench {
     }
 
     fn results(&mut self) -> Vec<(u64, &'static str)> {
-        let word = |outcome: &Outcome| match outcome {
+        let name_of = |outcome: &Outcome| match outcome {
             Outcome::Decided(_) => "decided",
             Outcome::OtherState => "other state",
             Outcome::Overtaken => "overtaken",
             Outcome::Suspended => "suspended",
         };
-        std::iter::from_fn(|| self.reports.results.pop().ok()).map(|taken| (taken.id, word(&taken.outcome))).collect()
+        std::iter::from_fn(|| self.reports.results.pop().ok())
+            .map(|taken| (taken.id, name_of(&taken.outcome)))
+            .collect()
     }
 }
 
@@ -123,18 +125,18 @@ fn commands_from_before_a_pause_are_discarded_but_not_stop() {
 #[test]
 fn a_sign_of_life_is_never_in_the_future_and_motion_requests_arrive() {
     let mut bench = Bench::new();
-    let heard = |bench: &mut Bench| bench.operator.listen(None, at(bench.now)).heard_at;
-    assert_eq!(heard(&mut bench), None);
-    bench.link.set_heard_at(Some(at(bench.now + 3)));
-    assert_eq!(heard(&mut bench), Some(at(bench.now)));
-    bench.link.set_heard_at(Some(at(0)));
-    assert_eq!(heard(&mut bench), Some(at(0)));
-    bench.link.set_heard_at(None);
-    assert_eq!(heard(&mut bench), None);
+    let input = |bench: &mut Bench| bench.operator.listen(None, at(bench.now)).heartbeat_at;
+    assert_eq!(input(&mut bench), None);
+    bench.link.set_heartbeat_at(Some(at(bench.now + 3)));
+    assert_eq!(input(&mut bench), Some(at(bench.now)));
+    bench.link.set_heartbeat_at(Some(at(0)));
+    assert_eq!(input(&mut bench), Some(at(0)));
+    bench.link.set_heartbeat_at(None);
+    assert_eq!(input(&mut bench), None);
     bench.link.set_speed_share(0.25);
     let shifted = Pose::from_translation(nalgebra::Vector3::new(0.01, 0.0, 0.0));
     bench.link.set_jog(shifted);
-    heard(&mut bench);
+    input(&mut bench);
     assert_eq!(bench.operator.motion(), MotionRequest { speed_share: 0.25, hand_from_hand_shifted: shifted });
 }
 

@@ -19,8 +19,8 @@ use super::{Peer, body};
 use crate::hub::Hub;
 use crate::lease::{Holder, NAME_MAX, Taken};
 use crate::messages::requests::{
-    HeartbeatRequest, HoldRequest, JogRequest, LeaseAction, LeaseRequest, PreviewRequest, PushRequest, SeenRequest,
-    SelectRequest, SpeedRequest,
+    HeartbeatRequest, HoldRequest, JogRequest, LeaseAction, LeaseRequest, PreviewRequest, PushRequest, SelectRequest,
+    ShownRequest, SpeedRequest,
 };
 use crate::messages::state::{HolderState, JogState};
 use crate::moving::{check_jog, check_push, check_speed};
@@ -30,8 +30,8 @@ use crate::preview_job::PreviewJob;
 use crate::refusal::Refusal;
 use crate::region::region_in;
 use crate::secrets::{Nonce, Session};
-use crate::seen::Seen;
-use crate::target_of::hand_shift;
+use crate::staleness::ShownState;
+use crate::target_state::hand_shift;
 
 /// Time in which a control step takes a command: many steps even of a slow simulation.
 const TAKEN_WITHIN: Duration = Duration::from_millis(1000);
@@ -88,13 +88,13 @@ impl Asked {
     async fn of_holder(
         self,
         app: &App,
-        seen: Option<Seen>,
+        shown: Option<ShownState>,
         give: impl FnOnce(&Hub) -> Result<Answer, Refusal>,
     ) -> Answered {
         let hub = &app.hub;
         let holder = hub.check_holder(self.session);
         let given = holder.clone().and_then(|_| {
-            seen.map_or(Ok(()), |seen| hub.check_seen(self.command, &seen))?;
+            shown.map_or(Ok(()), |shown| hub.check_shown(self.command, &shown))?;
             give(hub)
         });
         let outcome = match given {
@@ -172,11 +172,11 @@ pub async fn select(State(app): State<App>, Extension(peer): Extension<Peer>, re
     let asked = Asked::new("select", &request, peer);
     asked.count(&app)?;
     let request: SelectRequest = body::read(request).await?;
-    let seen = request.seen;
+    let shown = request.shown;
     asked
-        .of_holder(&app, Some(seen), |hub| {
+        .of_holder(&app, Some(shown), |hub| {
             let chosen = chosen_by(hub, request)?;
-            hub.give_command(OperatorCommand::Select, seen.state, Some(chosen))
+            hub.give_command(OperatorCommand::Select, shown.state, Some(chosen))
         })
         .await
 }
@@ -214,8 +214,8 @@ fn chosen_by(hub: &Hub, request: SelectRequest) -> Result<Chosen, Refusal> {
 async fn leading(app: App, peer: Peer, request: Request, command: OperatorCommand) -> Answered {
     let asked = Asked::new(command.name(), &request, peer);
     asked.count(&app)?;
-    let SeenRequest { seen } = body::read(request).await?;
-    asked.of_holder(&app, Some(seen), |hub| hub.give_command(command, seen.state, None)).await
+    let ShownRequest { shown } = body::read(request).await?;
+    asked.of_holder(&app, Some(shown), |hub| hub.give_command(command, shown.state, None)).await
 }
 
 /// `POST /api/start`.
@@ -270,15 +270,15 @@ struct SpeedAnswer {
 pub async fn speed(State(app): State<App>, Extension(peer): Extension<Peer>, request: Request) -> Answered {
     let asked = Asked::new("speed", &request, peer);
     asked.count(&app)?;
-    let SpeedRequest { percent, seen } = body::read(request).await?;
+    let SpeedRequest { percent, shown } = body::read(request).await?;
     let hub = &app.hub;
     let set = |_: &Holder| {
         check_speed(percent)?;
         // A lower speed is safe in any state.
         if percent > hub.link.speed_share() * 100.0 {
-            hub.check_seen("speed", &seen)?;
+            hub.check_shown("speed", &shown)?;
         } else {
-            hub.note_seen(&seen);
+            hub.note_shown(&shown);
         }
         hub.link.set_speed_share(percent / 100.0);
         Ok(json(&SpeedAnswer { percent }))
@@ -292,10 +292,10 @@ pub async fn speed(State(app): State<App>, Extension(peer): Extension<Peer>, req
 pub async fn jog(State(app): State<App>, Extension(peer): Extension<Peer>, request: Request) -> Answered {
     let asked = Asked::new("jog", &request, peer);
     asked.count(&app)?;
-    let JogRequest { offset_mm, offset_deg, seen } = body::read(request).await?;
+    let JogRequest { offset_mm, offset_deg, shown } = body::read(request).await?;
     let hub = &app.hub;
     let set = |_: &Holder| {
-        hub.check_seen("jog", &seen)?;
+        hub.check_shown("jog", &shown)?;
         let mut jog = hub.jog();
         let wanted = JogState { offset_mm, offset_deg };
         check_jog(&jog, &wanted)?;

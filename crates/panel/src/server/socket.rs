@@ -207,11 +207,11 @@ impl Reader {
                 let answers = self.answers.clone();
                 // Meanwhile the connection goes on.
                 tokio::spawn(async move {
-                    let told = match taken_within("stop", answer).await {
+                    let was_taken = match taken_within("stop", answer).await {
                         Ok(_) => ServerMessage::Answer { to: "stop", accepted: true, error: None, code: None },
                         Err(refusal) => refused("stop", &refusal),
                     };
-                    let _ = answers.try_send(told);
+                    let _ = answers.try_send(was_taken);
                 });
             }
         }

@@ -52,7 +52,7 @@ fn a_foreign_origin_is_refused_on_every_path_also_stop() {
         assert_eq!(client.request("OPTIONS", "/api/stop", &head, "").status, 403);
         assert!(Page::connect(rig.address(), Some(origin)).err().unwrap().contains("403"));
     }
-    assert!(rig.seen.lock().unwrap().commands.is_empty(), "nothing reached the control thread");
+    assert!(rig.observed.lock().unwrap().commands.is_empty(), "nothing reached the control thread");
     let two = format!("{JSON}Origin: http://127.0.0.1:{port}\r\nOrigin: http://evil.example\r\n");
     assert_eq!(client.request("POST", "/api/stop", &two, "{}").status, 403);
     let own = format!("{JSON}Origin: http://127.0.0.1:{port}\r\n");
@@ -95,7 +95,7 @@ fn a_get_causes_nothing_and_other_methods_are_refused() {
     }
     assert_eq!(client.post("info", "{}").status, 405);
     assert_eq!(client.request("POST", "/", JSON, "{}").status, 405);
-    assert!(rig.seen.lock().unwrap().commands.is_empty());
+    assert!(rig.observed.lock().unwrap().commands.is_empty());
 }
 
 #[test]

@@ -14,7 +14,7 @@ use pb3dp_panel::{About, Panel, PanelConfig};
 use pb3dp_servo::supervisor::State;
 use serde_json::json;
 
-use crate::support::{Client, PATIENCE, Rig, setup};
+use crate::support::{Client, Rig, TIMEOUT, setup};
 
 pub const EXPOSURE: u32 = 0x009A_0902;
 
@@ -166,11 +166,11 @@ fn no_control_changes_while_an_arm_may_move() {
     // Settling takes 0.2 s.
     let start = Instant::now();
     while client.get("/api/controls").json()["may_change"] == false {
-        assert!(start.elapsed() < PATIENCE, "{:?}", rig.seen.lock().unwrap().last);
+        assert!(start.elapsed() < TIMEOUT, "{:?}", rig.observed.lock().unwrap().last);
     }
     assert_eq!((rig.state(), change(&client, "left", 20).status), (State::Holding, 200));
     client.wait_for("ready", |state| state["state"]["is_ready"] == true && state["state"]["name"] == "holding");
-    let reply = client.post("resume", &json!({ "seen": client.seen() }).to_string());
+    let reply = client.post("resume", &json!({ "seen": client.shown_state() }).to_string());
     assert_eq!(reply.status, 200, "{}", reply.body);
     // The arm with the target goes on.
     assert_eq!(client.post("hold", r#"{"hand_only":true}"#).status, 200);
@@ -186,14 +186,14 @@ fn motion_begins_only_after_a_change_is_finished() {
     let cameras = Cameras::new();
     let rig = cameras.rig();
     let client = rig.holder();
-    let body = json!({ "region": "rect:200,150,120,90", "seen": client.seen() });
+    let body = json!({ "region": "rect:200,150,120,90", "seen": client.shown_state() });
     assert_eq!(client.post("select", &body.to_string()).status, 200);
     client.wait_for("ready", |state| state["state"]["is_ready"] == true && state["target"]["id"] == 1);
     cameras.is_hung.store(true, Ordering::SeqCst);
     std::thread::scope(|scope| {
         let changing = scope.spawn(|| change(&client, "left", 20));
         // The request needs a moment on its way.
-        let start = || client.post("start", &json!({ "seen": client.seen() }).to_string());
+        let start = || client.post("start", &json!({ "seen": client.shown_state() }).to_string());
         std::thread::sleep(Duration::from_millis(300));
         let reply = start();
         assert_eq!((reply.status, reply.code().as_str()), (409, "PB3DP-PAN-043"), "{}", reply.body);
@@ -247,7 +247,7 @@ fn bare_cameras_need_no_calibration_for_images_and_controls() {
     assert_eq!(state["state"]["may"], json!([]));
     assert!(state["why"]["line"].as_str().unwrap().contains("not calibrated"), "{state}");
     assert_eq!(change(&client, "left", 20).status, 200);
-    let body = json!({ "region": "click:3,4", "seen": client.seen() }).to_string();
+    let body = json!({ "region": "click:3,4", "seen": client.shown_state() }).to_string();
     let preview = json!({ "region": "click:3,4" }).to_string();
     for reply in [client.post("select", &body), client.post("preview", &preview), client.get("/api/epipolar?u=1&v=2")] {
         assert!(reply.code() == "PB3DP-PAN-038" && reply.body.contains("not calibrated"), "{}", reply.body);

@@ -12,7 +12,7 @@ use serde_json::json;
 use tungstenite::client::IntoClientRequest;
 use tungstenite::{Message, WebSocket};
 
-use crate::support::{PATIENCE, Rig};
+use crate::support::{Rig, TIMEOUT};
 
 const TOKEN: &str = "0123456789abcdefghij";
 
@@ -33,7 +33,7 @@ fn connect(rig: &Rig) -> Stream {
     let config = builder.with_root_certificates(roots).with_no_client_auth();
     let name = ServerName::try_from("localhost").unwrap();
     let socket = TcpStream::connect(rig.address()).unwrap();
-    socket.set_read_timeout(Some(PATIENCE)).unwrap();
+    socket.set_read_timeout(Some(TIMEOUT)).unwrap();
     StreamOwned::new(ClientConnection::new(Arc::new(config), name).unwrap(), socket)
 }
 

@@ -14,8 +14,8 @@ const ON_THE_WAY_S: f64 = 0.02;
 
 /// From the last heartbeat to the rest of the arms, with the longest period of the control thread, seconds.
 fn silence(rig: &Rig) -> (f64, f64) {
-    let seen = rig.seen.lock().unwrap();
-    (seen.rested_at.unwrap().seconds_since(seen.heard_at.unwrap()), seen.longest_period_s)
+    let observed = rig.observed.lock().unwrap();
+    (observed.rested_at.unwrap().seconds_since(observed.heartbeat_at.unwrap()), observed.longest_period_s)
 }
 
 fn stopped_in_time((silent_s, period_s): (f64, f64)) {
@@ -24,7 +24,7 @@ fn stopped_in_time((silent_s, period_s): (f64, f64)) {
 }
 
 fn rests(rig: &Rig) {
-    rig.wait_for("rest", |seen| seen.last.is_some_and(|last| !last.state.is_moving() && last.no_arm_may_move));
+    rig.wait_for("rest", |observed| observed.last.is_some_and(|last| !last.state.is_moving() && last.no_arm_may_move));
 }
 
 #[test]
@@ -87,13 +87,13 @@ fn a_hidden_page_is_silent_at_once() {
     client.take("test");
     let mut page = Page::open(&client);
     page.beat(true, false);
-    rig.wait_for("a heartbeat", |seen| seen.heard_at.is_some());
+    rig.wait_for("a heartbeat", |observed| observed.heartbeat_at.is_some());
     page.beat(false, false);
-    rig.wait_for("silence", |seen| seen.heard_at.is_none());
+    rig.wait_for("silence", |observed| observed.heartbeat_at.is_none());
     let state = client.wait_for("no sign of life", |state| state["operator"]["heard_ms_ago"] == json!(null));
     assert_eq!(state["operator"]["holder"]["name"], "test", "the lease stays");
     page.beat(true, false);
-    rig.wait_for("a heartbeat", |seen| seen.heard_at.is_some());
+    rig.wait_for("a heartbeat", |observed| observed.heartbeat_at.is_some());
 }
 
 #[test]
@@ -144,13 +144,13 @@ fn with_hold_to_run_a_released_button_holds_every_arm() {
     client.take("test");
     let mut page = Page::open(&client);
     let pressed = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
-    let (seen, (give, over)) = (pressed.clone(), std::sync::mpsc::channel::<()>());
+    let (observed, (give, over)) = (pressed.clone(), std::sync::mpsc::channel::<()>());
     let beating = std::thread::spawn(move || {
         while over.try_recv().is_err() {
-            page.beat(true, seen.load(std::sync::atomic::Ordering::SeqCst));
+            page.beat(true, observed.load(std::sync::atomic::Ordering::SeqCst));
         }
     });
-    let refused = client.post("start", &json!({ "seen": client.seen() }).to_string());
+    let refused = client.post("start", &json!({ "seen": client.shown_state() }).to_string());
     assert_eq!(refused.code(), "PB3DP-PAN-040", "the button is not pressed yet");
     pressed.store(true, std::sync::atomic::Ordering::SeqCst);
     std::thread::sleep(Duration::from_millis(300));

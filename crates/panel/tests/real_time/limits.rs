@@ -143,7 +143,7 @@ fn stop_is_taken_although_the_queue_is_full() {
     let client = rig.holder();
     rig.is_paused.store(true, std::sync::atomic::Ordering::SeqCst);
     std::thread::sleep(Duration::from_millis(20));
-    let body = json!({ "seen": client.seen() }).to_string();
+    let body = json!({ "seen": client.shown_state() }).to_string();
     let text = format!(
         "POST /api/reset HTTP/1.1\r\nHost: {}\r\nPB3DP-Session: {}\r\n{JSON}Content-Length: {}\r\n\r\n{body}",
         client.address,
@@ -168,7 +168,7 @@ fn stop_is_taken_although_the_queue_is_full() {
     rig.is_paused.store(false, std::sync::atomic::Ordering::SeqCst);
     assert_eq!(stopping.join().unwrap().status, 200);
     rig.wait_for_state(State::Stopped);
-    assert_eq!(rig.seen.lock().unwrap().commands[0].0, OperatorCommand::Stop, "before all that waited");
+    assert_eq!(rig.observed.lock().unwrap().commands[0].0, OperatorCommand::Stop, "before all that waited");
     assert_eq!(rig.count_of(OperatorCommand::Reset), 0, "what waited was overtaken");
     drop(waiting);
 }
@@ -188,7 +188,7 @@ fn a_stop_reaches_the_control_thread_at_once_also_with_five_pages() {
         .map(|_| {
             let given_at = rig.clock.now();
             assert_eq!(client.post("stop", "{}").status, 200);
-            let (_, taken_at) = *rig.seen.lock().unwrap().commands.last().unwrap();
+            let (_, taken_at) = *rig.observed.lock().unwrap().commands.last().unwrap();
             taken_at.seconds_since(given_at)
         })
         .collect();
@@ -230,7 +230,7 @@ fn commands_that_waited_while_the_program_was_suspended_are_discarded() {
     let client = rig.holder();
     rig.is_paused.store(true, std::sync::atomic::Ordering::SeqCst);
     std::thread::sleep(Duration::from_millis(20));
-    let body = json!({ "region": "rect:200,150,120,90", "seen": client.seen() }).to_string();
+    let body = json!({ "region": "rect:200,150,120,90", "seen": client.shown_state() }).to_string();
     let waking = {
         let is_paused = rig.is_paused.clone();
         std::thread::spawn(move || {

@@ -24,7 +24,7 @@ fn the_answers_about_controls_are_those_that_the_schema_describes() {
     let rig = cameras.rig();
     let client = rig.holder();
     assert_eq!(client.get("/api/controls").json(), expected["get"]);
-    let body = json!({ "side": "left", "id": EXPOSURE, "value": 7, "seen": client.seen() });
+    let body = json!({ "side": "left", "id": EXPOSURE, "value": 7, "seen": client.shown_state() });
     assert_eq!(client.post("controls", &body.to_string()).json(), expected["post"]);
     let refused = client.post("controls", r#"{"side":"left","id":1,"value":9000}"#).json();
     assert_eq!(refused, expected["refused"]);

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use serde_json::{Value, json};
 
 /// Time in which anything that is to happen has happened, also on a busy machine.
-pub const PATIENCE: Duration = Duration::from_secs(10);
+pub const TIMEOUT: Duration = Duration::from_secs(10);
 
 /// An answer.
 #[derive(Debug)]
@@ -42,7 +42,7 @@ pub struct Client {
 
 impl Client {
     pub fn new(address: SocketAddr) -> Self {
-        Self { address, session: None, nonce: None, patience: PATIENCE, beating: None }
+        Self { address, session: None, nonce: None, patience: TIMEOUT, beating: None }
     }
 
     /// Sends a request with these further lines in its head.
@@ -73,8 +73,8 @@ impl Client {
     }
 
     /// What this client saw, for a command.
-    pub fn seen(&self) -> Value {
-        seen_in(&self.state())
+    pub fn shown_state(&self) -> Value {
+        shown_in(&self.state())
     }
 
     pub fn wait_for(&self, what: &str, mut is: impl FnMut(&Value) -> bool) -> Value {
@@ -120,9 +120,9 @@ impl Client {
         let mut other = Self::new(self.address);
         (other.session, other.nonce) = (self.session.clone(), self.nonce.take());
         let is_over = Arc::new(AtomicBool::new(false));
-        let seen = is_over.clone();
+        let observed = is_over.clone();
         let thread = std::thread::spawn(move || {
-            while !seen.load(Ordering::SeqCst) {
+            while !observed.load(Ordering::SeqCst) {
                 other.beat();
                 std::thread::sleep(Duration::from_millis(50));
             }
@@ -144,14 +144,14 @@ impl Drop for Client {
     }
 }
 
-pub fn seen_in(state: &Value) -> Value {
+pub fn shown_in(state: &Value) -> Value {
     json!({ "state": state["state"]["number"], "target": state["target"]["id"], "time_ms": state["time_ms"] })
 }
 
 /// Sends bytes and reads the answer until its end.
 pub fn raw(address: SocketAddr, bytes: &[u8]) -> Reply {
     let mut stream = TcpStream::connect(address).unwrap();
-    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    stream.set_read_timeout(Some(TIMEOUT)).unwrap();
     // The server may answer and close before it has read all.
     let _ = stream.write_all(bytes);
     read_reply(&mut stream)

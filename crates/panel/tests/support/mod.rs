@@ -13,10 +13,10 @@ use std::time::{Duration, Instant};
 use image::{Rgb, RgbImage};
 use nalgebra::{Matrix6, Vector2, Vector3};
 use pb3dp_cell::capturing::Captured;
+use pb3dp_cell::estimate_log::PairEstimate;
 use pb3dp_cell::live::enter_control_thread;
 use pb3dp_cell::log::ArmSample;
-use pb3dp_cell::moving::Moved;
-use pb3dp_cell::noting::PairEstimate;
+use pb3dp_cell::moving::StepRecord;
 use pb3dp_cell::operator::{MotionRequest, Operator};
 use pb3dp_cell::parts::GatewayLimits;
 use pb3dp_cell::perception::View;
@@ -38,12 +38,12 @@ use pb3dp_servo::supervisor::{
 };
 use pb3dp_setup::setup::{Setup, read_setup};
 
-pub use self::client::{Client, PATIENCE};
+pub use self::client::{Client, TIMEOUT};
 pub use self::page::Page;
 
 /// What the loop did.
 #[derive(Default)]
-pub struct Seen {
+pub struct Observed {
     pub last: Option<Decision>,
     pub motion: Option<MotionRequest>,
     /// Commands that the supervisor got, with the time of the step.
@@ -53,7 +53,7 @@ pub struct Seen {
     /// How often the estimation got the target of the setup.
     pub setup_selected: usize,
     /// Last sign of life in the newest step.
-    pub heard_at: Option<MonotonicTime>,
+    pub heartbeat_at: Option<MonotonicTime>,
     /// Allocations of the control thread in the panel.
     pub allocations: usize,
     /// Time of the step in which motion ended last.
@@ -68,7 +68,7 @@ pub struct Seen {
     pub lateness_s: Vec<f64>,
 }
 
-impl Seen {
+impl Observed {
     fn stepped(&mut self, now: MonotonicTime) {
         let before = self.stepped_at.replace(now).unwrap_or(now);
         self.longest_period_s = self.longest_period_s.max(now.seconds_since(before));
@@ -78,7 +78,7 @@ impl Seen {
 pub struct Rig {
     pub panel: Option<Panel>,
     pub clock: Arc<SystemClock>,
-    pub seen: Arc<Mutex<Seen>>,
+    pub observed: Arc<Mutex<Observed>>,
     /// Stops the loop from listening, as a hung control thread.
     pub is_paused: Arc<AtomicBool>,
     pub interrupt: Arc<AtomicBool>,
@@ -113,13 +113,13 @@ impl Rig {
         let interrupt = Arc::clone(&config.interrupt);
         let about = About::of_setup(&setup, "sim", "0.0.0").with_gateways(&[("vs-robot", gateway_limits())]);
         let (panel, operator, spectator) = Panel::start(config, clock.clone(), about).unwrap();
-        let seen = Arc::<Mutex<Seen>>::default();
+        let observed = Arc::<Mutex<Observed>>::default();
         let (is_paused, is_over) = (Arc::new(AtomicBool::new(!runs)), Arc::new(AtomicBool::new(false)));
         let cell = Loop {
             clock: clock.clone(),
             supervisor: Supervisor::new(setup.supervisor.clone()).unwrap(),
             selections: panel.selections(),
-            seen: seen.clone(),
+            observed: observed.clone(),
             is_paused: is_paused.clone(),
             is_over: is_over.clone(),
             is_live,
@@ -130,7 +130,7 @@ impl Rig {
             start_rad: setup.rig.arms.vs.start_rad,
         };
         let thread = std::thread::spawn(move || cell.run(operator, spectator));
-        let rig = Self { panel: Some(panel), clock, seen, is_paused, interrupt, is_over, thread: Some(thread) };
+        let rig = Self { panel: Some(panel), clock, observed, is_paused, interrupt, is_over, thread: Some(thread) };
         if runs {
             let has_begun =
                 |state: &serde_json::Value| state["state"]["name"] == "idle" && state["images"]["sequence"].is_u64();
@@ -157,28 +157,31 @@ impl Rig {
     }
 
     pub fn state(&self) -> State {
-        self.seen.lock().unwrap().last.unwrap().state
+        self.observed.lock().unwrap().last.unwrap().state
     }
 
-    pub fn wait_for(&self, what: &str, mut is: impl FnMut(&Seen) -> bool) {
+    pub fn wait_for(&self, what: &str, mut is: impl FnMut(&Observed) -> bool) {
         let start = Instant::now();
-        while !is(&self.seen.lock().unwrap()) {
-            assert!(start.elapsed() < PATIENCE, "{what}: {:?}", self.seen.lock().unwrap().last);
+        while !is(&self.observed.lock().unwrap()) {
+            assert!(start.elapsed() < TIMEOUT, "{what}: {:?}", self.observed.lock().unwrap().last);
             std::thread::sleep(Duration::from_millis(2));
         }
     }
 
     pub fn wait_for_state(&self, state: State) {
-        self.wait_for(state.name(), |seen| seen.last.is_some_and(|last| last.state == state));
+        self.wait_for(state.name(), |observed| observed.last.is_some_and(|last| last.state == state));
     }
 
     /// Selects a target and starts.
     pub fn start(&self, client: &Client) {
-        let reply = client.post("select", &format!(r#"{{"region":"rect:200,150,120,90","seen":{}}}"#, client.seen()));
+        let reply =
+            client.post("select", &format!(r#"{{"region":"rect:200,150,120,90","seen":{}}}"#, client.shown_state()));
         assert_eq!(reply.status, 200, "{}", reply.body);
-        self.wait_for("ready", |seen| seen.last.is_some_and(|last| last.is_ready && last.state == State::Selecting));
+        self.wait_for("ready", |observed| {
+            observed.last.is_some_and(|last| last.is_ready && last.state == State::Selecting)
+        });
         client.wait_for("a target", |state| state["target"]["id"] == 1 && state["state"]["is_ready"] == true);
-        let start = || client.post("start", &format!(r#"{{"seen":{}}}"#, client.seen()));
+        let start = || client.post("start", &format!(r#"{{"seen":{}}}"#, client.shown_state()));
         // A machine that is building may suspend the program for a moment.
         let is_suspended = |reply: &self::client::Reply| reply.status != 200 && reply.code() == "PB3DP-PAN-030";
         let reply =
@@ -188,7 +191,7 @@ impl Rig {
     }
 
     pub fn count_of(&self, command: OperatorCommand) -> usize {
-        self.seen.lock().unwrap().commands.iter().filter(|(given, _)| *given == command).count()
+        self.observed.lock().unwrap().commands.iter().filter(|(given, _)| *given == command).count()
     }
 }
 
@@ -199,7 +202,7 @@ impl Drop for Rig {
         let joined = self.thread.take().unwrap().join();
         if !std::thread::panicking() {
             joined.unwrap();
-            assert_eq!(self.seen.lock().unwrap().allocations, 0, "the control thread must not allocate");
+            assert_eq!(self.observed.lock().unwrap().allocations, 0, "the control thread must not allocate");
         }
     }
 }
@@ -208,7 +211,7 @@ struct Loop {
     clock: Arc<SystemClock>,
     supervisor: Supervisor,
     selections: Selections,
-    seen: Arc<Mutex<Seen>>,
+    observed: Arc<Mutex<Observed>>,
     is_paused: Arc<AtomicBool>,
     is_over: Arc<AtomicBool>,
     is_live: bool,
@@ -259,7 +262,7 @@ impl Loop {
         if self.is_live {
             enter_control_thread();
         }
-        self.seen.lock().unwrap().is_preferred = is_fifo();
+        self.observed.lock().unwrap().is_preferred = is_fifo();
         let mut last: Option<Decision> = None;
         let mut newest: Option<(FrameInput, EstimateInput)> = None;
         let image = Arc::clone(&self.images);
@@ -278,12 +281,12 @@ impl Loop {
                 newest = Some(percept);
             }
             let before = pb3dp_allocation_count::requests();
-            let heard = operator.listen(last.as_ref(), now);
+            let input = operator.listen(last.as_ref(), now);
             let motion = operator.motion();
             let mut allocations = pb3dp_allocation_count::requests() - before;
             let arm = ArmInput { state: ArmCondition::Enabled, measured_at: Some(now) };
             let inputs = Inputs {
-                operator: heard,
+                operator: input,
                 controller: Mode::Approaching,
                 innovation: Innovation::Agrees,
                 target_covariance: None,
@@ -299,27 +302,27 @@ impl Loop {
             operator.show(&decision);
             allocations += pb3dp_allocation_count::requests() - before;
             spectator.moved(&self.moved(now, decision), None);
-            let mut seen = self.seen.lock().unwrap();
+            let mut observed = self.observed.lock().unwrap();
             if last.is_some_and(|last| last.state.is_moving()) && !decision.state.is_moving() {
-                seen.rested_at = Some(now);
+                observed.rested_at = Some(now);
             }
-            seen.commands.extend(heard.said.map(|said| (said.word, now)));
-            seen.allocations += allocations;
-            seen.heard_at = heard.heard_at;
-            seen.stepped(now);
-            seen.motion = Some(motion);
-            seen.last = Some(decision);
+            observed.commands.extend(input.request.map(|request| (request.command, now)));
+            observed.allocations += allocations;
+            observed.heartbeat_at = input.heartbeat_at;
+            observed.stepped(now);
+            observed.motion = Some(motion);
+            observed.last = Some(decision);
             if !has_copied {
-                seen.lateness_s.push(due_at.elapsed().as_secs_f64());
+                observed.lateness_s.push(due_at.elapsed().as_secs_f64());
             }
             last = Some(decision);
         }
     }
 
     /// A control step of arms that rest.
-    fn moved(&self, at: MonotonicTime, decision: Decision) -> Moved {
+    fn moved(&self, at: MonotonicTime, decision: Decision) -> StepRecord {
         let still = pb3dp_kinematics::JointVector::zeros();
-        Moved {
+        StepRecord {
             number: 0,
             at,
             observed: None,
@@ -342,11 +345,11 @@ impl Loop {
     ) -> (FrameInput, EstimateInput) {
         let region = self.selections.take().and_then(|choice| {
             let Choice::Marked(selection) = choice else {
-                self.seen.lock().unwrap().setup_selected += 1;
+                self.observed.lock().unwrap().setup_selected += 1;
                 return None;
             };
             let drawn_on = selection.drawn_on.map(|pair| pair.sequence);
-            self.seen.lock().unwrap().regions.push((selection.region.clone(), drawn_on));
+            self.observed.lock().unwrap().regions.push((selection.region.clone(), drawn_on));
             Some(selection.region)
         });
         self.target += u64::from(region.is_some());
@@ -377,7 +380,7 @@ impl Loop {
         self.looks += u64::from(self.target > 0);
         let truth_m = Vector3::new(0.01, 0.02, if self.looks > 1 { 0.602 } else { 0.6 });
         let truth = Pose::from_translation(truth_m);
-        spectator.seen(&PairEstimate {
+        spectator.estimated(&PairEstimate {
             steps: 0,
             chosen: None,
             captured: Captured { frame, cam_left_from_target: Some(truth), view: View::Images(Arc::new(pair)) },

@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use tungstenite::client::IntoClientRequest;
 use tungstenite::{Message, WebSocket};
 
-use super::client::{Client, PATIENCE};
+use super::client::{Client, TIMEOUT};
 
 /// The WebSocket of a page.
 pub struct Page {
@@ -34,7 +34,7 @@ impl Page {
     /// Connects with an origin.
     pub fn connect(address: SocketAddr, origin: Option<&str>) -> Result<Self, String> {
         let stream = TcpStream::connect(address).map_err(|error| error.to_string())?;
-        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream.set_read_timeout(Some(TIMEOUT)).unwrap();
         let mut request = format!("ws://{address}/api/events").into_client_request().unwrap();
         if let Some(origin) = origin {
             request.headers_mut().insert("Origin", origin.parse().unwrap());
@@ -62,7 +62,7 @@ impl Page {
     /// The next text message of a type.
     pub fn next_of(&mut self, kind: &str) -> Value {
         let start = Instant::now();
-        while start.elapsed() < PATIENCE {
+        while start.elapsed() < TIMEOUT {
             if let Ok(message) = self.next().unwrap()
                 && message["type"] == kind
             {
@@ -75,7 +75,7 @@ impl Page {
     /// The next binary message.
     pub fn next_image(&mut self) -> Vec<u8> {
         let start = Instant::now();
-        while start.elapsed() < PATIENCE {
+        while start.elapsed() < TIMEOUT {
             if let Err(bytes) = self.next().unwrap() {
                 return bytes;
             }

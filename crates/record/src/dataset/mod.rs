@@ -145,11 +145,11 @@ pub struct SearchRange {
 /// A folder that cannot be read, or one without any case.
 pub fn find_cases(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
     let mut cases = Vec::new();
-    let mut seen = HashSet::new();
+    let mut present = HashSet::new();
     let mut pending = VecDeque::from([(dir.to_owned(), 0)]);
     while let Some((folder, depth)) = pending.pop_front() {
         let unreadable = |source| DatasetError::Io { file: folder.clone(), action: "read", source };
-        if !seen.insert(folder.canonicalize().map_err(unreadable)?) {
+        if !present.insert(folder.canonicalize().map_err(unreadable)?) {
             continue;
         }
         if folder.join(CASE_FILE).exists() {

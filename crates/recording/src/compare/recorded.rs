@@ -109,7 +109,7 @@ struct Reading {
     estimates: Vec<Estimate>,
     steps: Vec<Step>,
     why: Arc<str>,
-    words: BTreeSet<Arc<str>>,
+    names: BTreeSet<Arc<str>>,
 }
 
 impl Reading {
@@ -139,14 +139,14 @@ impl Reading {
 
     fn step(&mut self, step: ControlStep) -> Result<()> {
         if !step.why.is_empty() {
-            self.why = self.word(&step.why);
+            self.why = self.text(&step.why);
         }
         // The measurement before the first step is no call.
         let calls = step.calls.into_iter().filter(|call| call.call != "enabled");
         let calls = calls
-            .map(|call| Call { arm: call.arm, call: self.word(&call.call), command_rad_per_s: call.command_rad_per_s })
+            .map(|call| Call { arm: call.arm, call: self.text(&call.call), command_rad_per_s: call.command_rad_per_s })
             .collect();
-        let [mode, state] = [self.word(&step.mode), self.word(&step.state)];
+        let [mode, state] = [self.text(&step.mode), self.text(&step.state)];
         self.steps.push(Step {
             stamp: stamp(step.number, step.at_nanos),
             mode,
@@ -159,12 +159,12 @@ impl Reading {
     }
 
     /// The same words are stored once: a long run has many steps.
-    fn word(&mut self, word: &str) -> Arc<str> {
-        if let Some(known) = self.words.get(word) {
+    fn text(&mut self, text: &str) -> Arc<str> {
+        if let Some(known) = self.names.get(text) {
             return Arc::clone(known);
         }
-        let new: Arc<str> = word.into();
-        self.words.insert(Arc::clone(&new));
+        let new: Arc<str> = text.into();
+        self.names.insert(Arc::clone(&new));
         new
     }
 

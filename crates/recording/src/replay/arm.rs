@@ -8,7 +8,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use pb3dp_bag::run_messages::{ArmCall, ArmChange, ControlStep};
 use pb3dp_cell::operator::{MotionRequest, Operator};
-use pb3dp_cell::parts::DrivenArm;
+use pb3dp_cell::parts::ArmControl;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand, JointState, PowerOrder};
 use pb3dp_hal_middleware::LimiterStatistics;
@@ -17,8 +17,8 @@ use pb3dp_servo::supervisor::{Decision, OperatorInput};
 
 use super::differences::{Differences, Kind};
 use crate::exact::{ARM_NAMES, failure, joints, motion, operator_input, same_bits};
-use crate::steps::call_word;
-use crate::tap::{Call, Heard};
+use crate::steps::call_name;
+use crate::tap::{Call, RunInputs};
 
 /// What happened to an arm in the present step, in order.
 enum Entry {
@@ -42,7 +42,7 @@ struct ArmScript {
 #[derive(Default)]
 pub struct Script {
     arms: [ArmScript; 2],
-    heard: OperatorInput,
+    inputs: OperatorInput,
     motion: MotionRequest,
     carries_before_start: bool,
     /// Time of the step since the begin of the run, seconds.
@@ -60,13 +60,13 @@ impl SharedScript {
     }
 
     /// Both arms and the operator.
-    pub fn parts(&self, cycle: Duration, (is_person, can_fall_silent): (bool, bool)) -> Heard {
+    pub fn parts(&self, cycle: Duration, (is_person, can_fall_silent): (bool, bool)) -> RunInputs {
         let arm = |side: usize| {
             let info = ArmInfo { name: ARM_NAMES[side].to_owned(), cycle };
             Box::new(ReplayedArm { info, script: self.clone(), side })
         };
         let operator = ReplayedOperator { script: self.clone(), is_person, can_fall_silent };
-        Heard { vs: arm(0), tc: arm(1), operator: Box::new(operator) }
+        RunInputs { vs: arm(0), tc: arm(1), operator: Box::new(operator) }
     }
 
     /// Sets both arms as they were before the first step.
@@ -103,7 +103,7 @@ impl SharedScript {
     pub fn load(&self, step: &ControlStep, t_s: f64) -> Result<()> {
         let mut script = self.lock();
         script.t_s = t_s;
-        script.heard = operator_input(&step.said, &step.heard_at_nanos, &step.silent_after_nanos)?;
+        script.inputs = operator_input(&step.said, &step.heard_at_nanos, &step.silent_after_nanos)?;
         script.motion = motion(step.speed_share, step.hand_from_hand_shifted);
         script.carries_before_start = step.carries_before_start;
         for (side, arm) in script.arms.iter_mut().enumerate() {
@@ -245,7 +245,7 @@ impl ReplayedArm {
         let mut script = self.script.lock();
         let Script { arms, differences, t_s, .. } = &mut *script;
         let arm = &mut arms[self.side];
-        let word = call_word(&call);
+        let word = call_name(&call);
         let blank =
             ArmCall { arm: self.side as u8, call: word.to_owned(), outcome: "done".to_owned(), ..ArmCall::default() };
         if !arm.has_begun {
@@ -253,7 +253,7 @@ impl ReplayedArm {
             return Ok(blank);
         }
         let found = arm.next_call(|other| other == word || is_exchange(word) && is_exchange(other));
-        let in_words = |call: &ArmCall| format!("{}: {}{}", self.info.name, call.call, velocities(call));
+        let call_text = |call: &ArmCall| format!("{}: {}{}", self.info.name, call.call, velocities(call));
         let now = match call {
             Call::Exchange(JointCommand::Velocity(velocity)) => {
                 ArmCall { command_rad_per_s: velocity.as_slice().to_vec(), ..blank }
@@ -261,11 +261,11 @@ impl ReplayedArm {
             _ => blank,
         };
         let Some(recorded) = found else {
-            differences.differ(Kind::Commands, *t_s, format!("{}: nothing", self.info.name), in_words(&now));
+            differences.differ(Kind::Commands, *t_s, format!("{}: nothing", self.info.name), call_text(&now));
             return Ok(now);
         };
         let same = recorded.call == now.call && same_bits(&recorded.command_rad_per_s, &now.command_rad_per_s);
-        differences.compare(Kind::Commands, *t_s, same, || (in_words(&recorded), in_words(&now)));
+        differences.compare(Kind::Commands, *t_s, same, || (call_text(&recorded), call_text(&now)));
         match failure(&recorded.outcome) {
             Some(kind) => Err(self.failed(kind)),
             None => Ok(recorded),
@@ -323,7 +323,7 @@ impl ArmPower for ReplayedArm {
     }
 }
 
-impl DrivenArm for ReplayedArm {
+impl ArmControl for ReplayedArm {
     fn statistics(&self) -> LimiterStatistics {
         LimiterStatistics::default()
     }
@@ -338,7 +338,7 @@ struct ReplayedOperator {
 
 impl Operator for ReplayedOperator {
     fn listen(&mut self, _last: Option<&Decision>, _now: MonotonicTime) -> OperatorInput {
-        self.script.lock().heard
+        self.script.lock().inputs
     }
 
     fn show(&mut self, _decision: &Decision) {}
@@ -394,17 +394,17 @@ mod tests {
     }
 
     /// Both arms are enabled; the first one takes part in `first`.
-    fn begun(first: ControlStep) -> (SharedScript, Heard) {
+    fn begun(first: ControlStep) -> (SharedScript, RunInputs) {
         let script = SharedScript::default();
-        let heard = script.parts(Duration::from_millis(10), (false, false));
+        let inputs = script.parts(Duration::from_millis(10), (false, false));
         let mut before = first;
-        let told = |arm| [change(arm, 0, 0, "enabled"), change(arm, 0, 0, "not stopped by other")];
+        let reported = |arm| [change(arm, 0, 0, "enabled"), change(arm, 0, 0, "not stopped by other")];
         before.calls.splice(0..0, [0, 1].map(|arm| call(arm, "enabled", "measured")));
         before.changes.iter_mut().for_each(|change| change.after += 1);
-        before.changes.splice(0..0, [0, 1].into_iter().flat_map(told));
+        before.changes.splice(0..0, [0, 1].into_iter().flat_map(reported));
         script.begin(&mut before).unwrap();
         script.load(&before, 1.5).unwrap();
-        (script, heard)
+        (script, inputs)
     }
 
     fn commands(script: &SharedScript) -> Compared {
@@ -416,27 +416,27 @@ mod tests {
     fn answers_and_states_come_in_the_recorded_order() {
         let calls = vec![call(0, "hold", "timeout"), call(0, "hold", "measured"), call(1, "hold", "measured")];
         // After the first call, at the second query.
-        let (script, mut heard) =
+        let (script, mut inputs) =
             begun(step(calls, vec![change(0, 1, 1, "fault"), change(0, 1, 2, "stopped by other")]));
-        assert_eq!(heard.vs.state(), ArmState::Enabled);
-        let failure = heard.vs.exchange(JointCommand::Hold).unwrap_err();
+        assert_eq!(inputs.vs.state(), ArmState::Enabled);
+        let failure = inputs.vs.exchange(JointCommand::Hold).unwrap_err();
         assert_eq!(failure.kind(), ArmErrorKind::Timeout);
-        assert_eq!(heard.vs.state(), ArmState::Enabled);
-        assert_eq!(heard.vs.state(), ArmState::Fault);
-        assert!(heard.vs.is_stopped_by_other() && !heard.tc.is_stopped_by_other());
-        assert_eq!(heard.vs.exchange(JointCommand::Hold).unwrap().position_rad, JointVector::repeat(0.5));
-        heard.tc.exchange(JointCommand::Hold).unwrap();
+        assert_eq!(inputs.vs.state(), ArmState::Enabled);
+        assert_eq!(inputs.vs.state(), ArmState::Fault);
+        assert!(inputs.vs.is_stopped_by_other() && !inputs.tc.is_stopped_by_other());
+        assert_eq!(inputs.vs.exchange(JointCommand::Hold).unwrap().position_rad, JointVector::repeat(0.5));
+        inputs.tc.exchange(JointCommand::Hold).unwrap();
         assert_eq!(commands(&script), Compared { compared: 3, differing: 0, first: None });
     }
 
     #[test]
     fn another_velocity_differs_by_its_last_bit() {
-        let mut told = JointVector::repeat(0.125);
-        let (script, mut heard) =
+        let mut reported = JointVector::repeat(0.125);
+        let (script, mut inputs) =
             begun(step(vec![call(0, "move", "measured"), call(1, "move", "measured")], Vec::new()));
-        heard.vs.exchange(JointCommand::Velocity(told)).unwrap();
-        told[3] = f64::from_bits(told[3].to_bits() + 1);
-        heard.tc.exchange(JointCommand::Velocity(told)).unwrap();
+        inputs.vs.exchange(JointCommand::Velocity(reported)).unwrap();
+        reported[3] = f64::from_bits(reported[3].to_bits() + 1);
+        inputs.tc.exchange(JointCommand::Velocity(reported)).unwrap();
         let Compared { compared, differing, first } = commands(&script);
         let first = first.unwrap();
         assert_eq!((compared, differing, first.t_s), (2, 1, 1.5));
@@ -445,9 +445,9 @@ mod tests {
 
     #[test]
     fn a_call_too_many_and_one_too_few_are_differences() {
-        let (script, mut heard) = begun(step(vec![call(0, "stop", "done"), call(1, "hold", "measured")], Vec::new()));
-        heard.vs.exchange(JointCommand::Hold).unwrap();
-        heard.tc.exchange(JointCommand::Hold).unwrap();
+        let (script, mut inputs) = begun(step(vec![call(0, "stop", "done"), call(1, "hold", "measured")], Vec::new()));
+        inputs.vs.exchange(JointCommand::Hold).unwrap();
+        inputs.tc.exchange(JointCommand::Hold).unwrap();
         let Compared { compared, differing, .. } = commands(&script);
         assert_eq!((compared, differing), (3, 2));
     }

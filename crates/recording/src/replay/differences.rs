@@ -57,13 +57,13 @@ pub struct First {
 pub struct Differences(BTreeMap<Kind, Compared>);
 
 impl Differences {
-    /// Compares; `words` gives both values, the recorded one first.
-    pub fn compare(&mut self, kind: Kind, t_s: f64, is_same: bool, words: impl FnOnce() -> (String, String)) {
+    /// Compares; `texts` gives both values, the recorded one first.
+    pub fn compare(&mut self, kind: Kind, t_s: f64, is_same: bool, texts: impl FnOnce() -> (String, String)) {
         if is_same {
             self.0.entry(kind).or_default().compared += 1;
             return;
         }
-        let (recorded, now) = words();
+        let (recorded, now) = texts();
         self.differ(kind, t_s, recorded, now);
     }
 

@@ -22,17 +22,17 @@ use pb3dp_bag::messages::LogLine;
 use pb3dp_bag::run_messages::{ControlStep, PairResult};
 use pb3dp_bag::sinks::Sinks;
 use pb3dp_cell::capturing::Captured;
+use pb3dp_cell::estimate_log::PairEstimate;
 use pb3dp_cell::follower::Follower;
 use pb3dp_cell::halves::Mover;
 use pb3dp_cell::journal::{Journal, Outcome, TruePoses};
-use pb3dp_cell::looking::Estimating;
-use pb3dp_cell::moving::{Moved, Moving};
-use pb3dp_cell::noting::PairEstimate;
+use pb3dp_cell::moving::{Moving, StepRecord};
 use pb3dp_cell::percept::Percept;
 use pb3dp_cell::perception::{Perception, View};
 use pb3dp_cell::selection::{Choice, Selection, Selections};
 use pb3dp_cell::spectator::{RunEnd, Spectator};
 use pb3dp_cell::true_surface::TrueSurface;
+use pb3dp_cell::vision::Estimating;
 use pb3dp_estimation::estimator::FramePrior;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_clock::VirtualClock;
@@ -148,22 +148,22 @@ impl Opened {
         let experiment = experiment(setup)?;
         let script = SharedScript::default();
         let person = (run.begin.is_person, run.begin.can_fall_silent);
-        let mut heard = script.parts(setup.control_period, person);
+        let mut inputs = script.parts(setup.control_period, person);
         let mut recording = None;
         if let Some((about, sinks)) = record_to {
             let to = RecordTo { sinks, ..RecordTo::default() };
             // Images, steps and begin have one clock: that of the recorded run.
             let since_1970 = Duration::from_nanos(run.begin.since_1970_nanos);
             let about = About { since_1970, ..about.clone() };
-            let (to_file, tapped) = recorder(&about, setup, (run.begin.clone(), heard), to)?;
+            let (to_file, tapped) = recorder(&about, setup, (run.begin.clone(), inputs), to)?;
             recording = Some(to_file);
-            heard = tapped;
+            inputs = tapped;
         }
         let begin = MonotonicTime::from_nanos(run.begin.begin_nanos);
         let journal = || Journal::new(setup, &*experiment, person, (begin, experiment.duration_s()));
         let journal = reports.then(journal).transpose()?.map(Journal::quiet);
         let surface = if reports { TrueSurface::of(setup)? } else { None };
-        let moving = Moving::new(setup, (heard.vs, heard.tc), &*experiment, begin)?.with_operator(heard.operator);
+        let moving = Moving::new(setup, (inputs.vs, inputs.tc), &*experiment, begin)?.with_operator(inputs.operator);
         let estimating = if anew { Some(estimating(setup, run)?) } else { None };
         let RecordedRun { version, items, .. } = run;
         let range = setup.rig.real_cameras.as_ref().and_then(|cameras| cameras.stereo.value_range());
@@ -359,19 +359,20 @@ impl Replay<'_> {
             self.note(result.exposed_at_nanos, &format!("{what} initialisation"));
             self.progress.is_blind = true;
         }
-        let mut seen = match &self.estimating {
+        let mut pair_estimate = match &self.estimating {
             Some(_) if !self.progress.is_blind => self.estimated(recorded)?,
             _ => as_recorded(recorded)?,
         };
         if let Some(surface) = &mut self.surface {
-            seen.target_from_plane = surface.see(seen.chosen.as_ref(), seen.region.as_ref(), &seen.captured);
+            pair_estimate.target_from_plane =
+                surface.see(pair_estimate.chosen.as_ref(), pair_estimate.region.as_ref(), &pair_estimate.captured);
         }
-        self.percepts.insert(result.sequence, seen.percept());
+        self.percepts.insert(result.sequence, pair_estimate.percept());
         if let Some(recording) = &mut self.recording {
-            recording.seen(&seen);
+            recording.estimated(&pair_estimate);
         }
         if let Some(journal) = &mut self.journal {
-            journal.note_pair(&seen)?;
+            journal.note_pair(&pair_estimate)?;
         }
         Ok(())
     }
@@ -409,13 +410,13 @@ impl Replay<'_> {
         let new_steps = usize::try_from(new_steps).unwrap_or(usize::MAX).min(self.joints.len());
         self.joints.drain(..new_steps).for_each(|joints| estimating.push_joints(joints));
         self.progress.known_steps += new_steps as u64;
-        let seen = estimating
+        let pair_estimate = estimating
             .look(captured(result, View::Images(images))?)
             .with_context(|| format!("the estimate of pair {} at {t_s:.3} s", result.sequence))?;
-        let now = pair_result(&seen);
+        let now = pair_result(&pair_estimate);
         let is_same = is_same_estimate(&now, result);
         self.differences.compare(Kind::Estimates, t_s, is_same, || (estimate_text(result), estimate_text(&now)));
-        Ok(seen)
+        Ok(pair_estimate)
     }
 
     /// Runs a control step again.
@@ -488,7 +489,7 @@ impl Replay<'_> {
         self.progress.control_is_over = true;
     }
 
-    fn compare(&mut self, step: &ControlStep, t_s: f64, moved: &Moved, poses: Option<TruePoses>) {
+    fn compare(&mut self, step: &ControlStep, t_s: f64, moved: &StepRecord, poses: Option<TruePoses>) {
         let filtered = of_pose_if_any(moved.base_from_model.as_ref());
         let same = same_bits(&step.base_from_model, &filtered);
         self.differences.compare(Kind::Filter, t_s, same, || (numbers(&step.base_from_model), numbers(&filtered)));
@@ -498,10 +499,10 @@ impl Replay<'_> {
         self.why[1] = moved.decision.why.to_string();
         let (mode, state) = (moved.mode.to_string(), moved.decision.state.name());
         let same = step.mode == mode && step.state == state && self.why[0] == self.why[1];
-        let words = |mode: &str, state: &str, why: &str| format!("{mode}; {state}; {why}");
+        let text_of = |mode: &str, state: &str, why: &str| format!("{mode}; {state}; {why}");
         let [recorded, now] = &self.why;
         self.differences.compare(Kind::Decisions, t_s, same, || {
-            (words(&step.mode, &step.state, recorded), words(&mode, state, now))
+            (text_of(&step.mode, &step.state, recorded), text_of(&mode, state, now))
         });
         if self.estimating.is_some() {
             self.joints.push_back(moved.vs_joints);

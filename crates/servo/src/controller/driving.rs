@@ -118,14 +118,14 @@ impl Controller {
     ) {
         let request = match self.config.law {
             LawConfig::FeedForward(law) => self
-                .feed_forward_wish(&law, joints, now)
+                .feed_forward_motion(&law, joints, now)
                 .ok_or_else(|| HoldReason::ObservationStale { age_s: step.observation_age_s.unwrap_or(f64::INFINITY) }),
             LawConfig::Published(law) => {
                 let twist = self.published_twist(&law, error, &jacobian, joints);
-                Ok(self.wish_without_feed_forward(twist, jacobian, joints, now))
+                Ok(self.motion_without_feed_forward(twist, jacobian, joints, now))
             }
             LawConfig::ImageBased(_) | LawConfig::Hybrid(_) => match self.twist_by_camera(step) {
-                Some(twist) => Ok(self.wish_without_feed_forward(twist, jacobian, joints, now)),
+                Some(twist) => Ok(self.motion_without_feed_forward(twist, jacobian, joints, now)),
                 None => Err(HoldReason::TargetNotBeforeCamera),
             },
         };
@@ -228,17 +228,19 @@ impl Controller {
     fn twist_by_camera(&self, step: &ControlStep) -> Option<Twist<Base>> {
         let (base_from_hand, base_from_model) = (step.base_from_hand?, step.base_from_model?);
         let mounting = self.config.hand_from_cam_left;
-        let seen = (base_from_hand * mounting).inverse() * base_from_model;
+        let cam_left_from_model = (base_from_hand * mounting).inverse() * base_from_model;
         let wanted = (self.config.model_from_hand_desired * mounting).inverse();
         let camera = match self.config.law {
-            LawConfig::ImageBased(law) => image_based::camera_twist(law.gain_per_s, law.half_width_m, &seen, &wanted),
-            LawConfig::Hybrid(law) => hybrid::camera_twist(law.gain_per_s, &seen, &wanted),
+            LawConfig::ImageBased(law) => {
+                image_based::camera_twist(law.gain_per_s, law.half_width_m, &cam_left_from_model, &wanted)
+            }
+            LawConfig::Hybrid(law) => hybrid::camera_twist(law.gain_per_s, &cam_left_from_model, &wanted),
             LawConfig::FeedForward(_) | LawConfig::Published(_) => None,
         };
         camera.map(|camera| hand_twist_of_camera(&camera, &base_from_hand, &mounting))
     }
 
-    fn wish_without_feed_forward(
+    fn motion_without_feed_forward(
         &mut self,
         twist: Twist<Base>,
         jacobian: HandJacobian,
@@ -257,7 +259,7 @@ impl Controller {
     }
 
     /// Request of the law with feed-forward; `None` if the target cannot be predicted to the time of the motion.
-    fn feed_forward_wish(
+    fn feed_forward_motion(
         &mut self,
         law: &FeedForwardConfig,
         joints: &JointState,

@@ -47,14 +47,14 @@ struct Row {
 
 /// Offset between the timestamps and the joints, seconds, for which a stationary target is stationary in `base`.
 ///
-/// `seen` are timestamps and poses of the model in the left camera while the target is stationary and the hand moves; `joints`
+/// `poses` are timestamps and poses of the model in the left camera while the target is stationary and the hand moves; `joints`
 /// are ordered by time. A part of the observed position that is proportional to the path of the hand and not to its velocity
 /// (errors of mounting and scale) is estimated too and does not affect the result.
 ///
 /// # Errors
 /// If the record is too short, or the hand did not move.
 pub fn exposure_offset(
-    seen: &[(MonotonicTime, Pose<CamLeft, Model>)],
+    poses: &[(MonotonicTime, Pose<CamLeft, Model>)],
     joints: &[JointState],
     rig: &CameraOnHand<'_>,
 ) -> Result<Interval, NotIdentified> {
@@ -64,7 +64,7 @@ pub fn exposure_offset(
     }
     let mut offset_s = 0.0;
     for _ in 0..STEPS_MAX {
-        let rows = rows(seen, &history, rig, offset_s);
+        let rows = rows(poses, &history, rig, offset_s);
         check_count(rows.len())?;
         let step_s = solve(rows.iter()).ok_or(NotIdentified::NotExcited { what: WHAT })?;
         offset_s += step_s;
@@ -75,7 +75,7 @@ pub fn exposure_offset(
             break;
         }
     }
-    let rows = rows(seen, &history, rig, offset_s);
+    let rows = rows(poses, &history, rig, offset_s);
     check_count(rows.len())?;
     let span_s = (rows[0].at_s, rows[rows.len() - 1].at_s);
     let mut batches = [0.0; BATCHES];
@@ -93,7 +93,7 @@ fn check_count(count: usize) -> Result<(), NotIdentified> {
 
 /// All observations with known joints.
 fn rows(
-    seen: &[(MonotonicTime, Pose<CamLeft, Model>)],
+    poses: &[(MonotonicTime, Pose<CamLeft, Model>)],
     history: &JointHistory,
     rig: &CameraOnHand<'_>,
     offset_s: f64,
@@ -113,7 +113,7 @@ fn rows(
             rate_m_per_s: (after - before) / (2.0 * DIFFERENCE_S),
         })
     };
-    seen.iter().filter_map(row).collect()
+    poses.iter().filter_map(row).collect()
 }
 
 /// Remaining offset by least squares; `None` if the motion does not determine it.

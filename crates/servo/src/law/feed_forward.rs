@@ -271,7 +271,7 @@ mod tests {
 
     /// A lagging hand with the desired pose and velocity receives the command that inverts the lag, and no correction.
     #[test]
-    fn a_hand_that_is_right_is_told_what_inverts_its_lag() {
+    fn a_hand_without_error_is_commanded_what_inverts_its_lag() {
         let arm = ArmResponse { delay_s: 0.02, lag_s: 0.04 };
         let (velocity, turning) = (Vector3::new(0.1, -0.05, 0.02), Vector3::new(0.3, 0.1, -0.4));
         let (push, twirl) = (Vector3::new(-0.2, 0.3, 0.1), Vector3::new(0.5, -0.7, 0.2));
@@ -285,10 +285,10 @@ mod tests {
         // With v' = -v / T from now on the hand still moves by T v and rotates by T w.
         let rests_at =
             Pose::from_parts(hand.translation_m() + velocity * 0.04, rotation(0.012, 0.004, -0.016) * hand.rotation());
-        let told = hand_twist(&GAINS, &aim, &rests_at, &WIDE);
+        let commanded = hand_twist(&GAINS, &aim, &rests_at, &WIDE);
         // The acceleration must be v' = (u - v) / T.
-        assert!(((told.linear_m_per_s - velocity) / 0.04 - push).norm() < 1e-9, "{told:?}");
-        assert!(((told.angular_rad_per_s - turning) / 0.04 - twirl).norm() < 1e-7, "{told:?}");
+        assert!(((commanded.linear_m_per_s - velocity) / 0.04 - push).norm() < 1e-9, "{commanded:?}");
+        assert!(((commanded.angular_rad_per_s - turning) / 0.04 - twirl).norm() < 1e-7, "{commanded:?}");
         // Half a period later the velocity has changed by the acceleration times this time.
         let held = Aim::new(&desired, &arm, 0.01);
         assert!((held.feed_forward.linear_m_per_s - aim.feed_forward.linear_m_per_s - push * 0.005).norm() < 1e-12);
@@ -306,19 +306,19 @@ mod tests {
         let aimed = Pose::from_parts(hand.translation_m() + by, rotation(turn.x, turn.y, turn.z) * hand.rotation());
         let aim =
             Aim { base_from_hand_at_rest: aimed, feed_forward: Twist::new(Vector3::x() * 0.1, Vector3::y() * 0.2) };
-        let told = hand_twist(&GAINS, &aim, &hand, &WIDE);
-        assert!((told.linear_m_per_s - (by * 8.0 + Vector3::x() * 0.1)).norm() < 1e-12, "{told:?}");
-        assert!((told.angular_rad_per_s - (turn * 5.0 + Vector3::y() * 0.2)).norm() < 1e-9, "{told:?}");
+        let commanded = hand_twist(&GAINS, &aim, &hand, &WIDE);
+        assert!((commanded.linear_m_per_s - (by * 8.0 + Vector3::x() * 0.1)).norm() < 1e-12, "{commanded:?}");
+        assert!((commanded.angular_rad_per_s - (turn * 5.0 + Vector3::y() * 0.2)).norm() < 1e-9, "{commanded:?}");
         // 200 degrees about an axis are 160 degrees about the opposite axis; the negated quaternion is the same rotation.
         let axis = Vector3::new(1.0, -2.0, 2.0) / 3.0;
         let long = UnitQuaternion::from_scaled_axis(axis * 200f64.to_radians()) * hand.rotation();
         for rotation in [long, UnitQuaternion::new_unchecked(-long.into_inner())] {
             let aimed = Pose::from_parts(hand.translation_m(), rotation);
             let aim = Aim { base_from_hand_at_rest: aimed, feed_forward: Twist::zero() };
-            let told = hand_twist(&GAINS, &aim, &hand, &WIDE).angular_rad_per_s;
+            let commanded = hand_twist(&GAINS, &aim, &hand, &WIDE).angular_rad_per_s;
             // sqrt(2 a (e - a / (2 K^2))), a = 2, K = 5, e = 160 degrees.
             let expected = (4.0 * (160f64.to_radians() - 0.04)).sqrt();
-            assert!((told + axis * expected).norm() < 1e-9, "{told}");
+            assert!((commanded + axis * expected).norm() < 1e-9, "{commanded}");
         }
     }
 
@@ -339,7 +339,7 @@ mod tests {
         let aimed = Pose::from_parts(hand.translation_m() + Vector3::new(0.0, 3.0, -4.0), hand.rotation());
         let aim = Aim { base_from_hand_at_rest: aimed, feed_forward: Twist::new(Vector3::x() * 0.1, Vector3::zeros()) };
         let most = CartesianSpeed { linear_m_per_s: 0.05, angular_rad_per_s: 0.1 };
-        let told = hand_twist(&GAINS, &aim, &hand, &most);
-        assert!((told.linear_m_per_s - Vector3::new(0.1, 0.03, -0.04)).norm() < 1e-12, "{told:?}");
+        let commanded = hand_twist(&GAINS, &aim, &hand, &most);
+        assert!((commanded.linear_m_per_s - Vector3::new(0.1, 0.03, -0.04)).norm() < 1e-12, "{commanded:?}");
     }
 }

@@ -32,12 +32,12 @@ pub fn camera_twist(
     cam_left_from_model: &Pose<CamLeft, Model>,
     desired_from_model: &Pose<CamLeft, Model>,
 ) -> Option<Twist<CamLeft>> {
-    let (seen, wanted) = (cam_left_from_model.translation_m(), desired_from_model.translation_m());
-    if !(seen.z > DEPTH_MIN_M && wanted.z > DEPTH_MIN_M) {
+    let (current, wanted) = (cam_left_from_model.translation_m(), desired_from_model.translation_m());
+    if !(current.z > DEPTH_MIN_M && wanted.z > DEPTH_MIN_M) {
         return None;
     }
-    let (x, y) = (seen.x / seen.z, seen.y / seen.z);
-    let error = Vector3::new(x - wanted.x / wanted.z, y - wanted.y / wanted.z, (seen.z / wanted.z).ln());
+    let (x, y) = (current.x / current.z, current.y / current.z);
+    let error = Vector3::new(x - wanted.x / wanted.z, y - wanted.y / wanted.z, (current.z / wanted.z).ln());
     // From the axes of the current camera to those of the desired one: the inverse of the model's rotation.
     let turn = so3::log(&(desired_from_model.rotation() * cam_left_from_model.rotation().inverse()));
     let of_turn = Matrix3::new(
@@ -54,7 +54,7 @@ pub fn camera_twist(
     let left = error - of_turn * turn;
     // inv(Lv), from the last row up.
     let along = Vector3::new(-left.x - x * left.z, -left.y - y * left.z, -left.z);
-    Some(Twist::new(along * (-gain_per_s * seen.z), turn * -gain_per_s))
+    Some(Twist::new(along * (-gain_per_s * current.z), turn * -gain_per_s))
 }
 
 #[cfg(test)]
@@ -67,16 +67,16 @@ mod tests {
     fn all_errors_fall_exponentially() {
         let desired = pose([0.05, -0.02, 0.5], [0.1, 0.0, -0.2]);
         let begin = pose([-0.1, 0.15, 0.9], [0.4, -0.3, 1.6]);
-        let errors = |seen: &Pose<CamLeft, Model>| {
-            let (p, d) = (seen.translation_m(), desired.translation_m());
-            let turn = seen.rotation().angle_to(&desired.rotation());
+        let errors = |current: &Pose<CamLeft, Model>| {
+            let (p, d) = (current.translation_m(), desired.translation_m());
+            let turn = current.rotation().angle_to(&desired.rotation());
             [p.x / p.z - d.x / d.z, p.y / p.z - d.y / d.z, (p.z / d.z).ln(), turn]
         };
-        let (mut seen, first) = (begin, errors(&begin));
+        let (mut current, first) = (begin, errors(&begin));
         for _ in 0..2000 {
-            seen = moved(&seen, &camera_twist(1.0, &seen, &desired).unwrap(), 1e-3);
+            current = moved(&current, &camera_twist(1.0, &current, &desired).unwrap(), 1e-3);
         }
-        for (now, first) in errors(&seen).into_iter().zip(first) {
+        for (now, first) in errors(&current).into_iter().zip(first) {
             assert!((now / first / (-2.0_f64).exp() - 1.0).abs() < 5e-3, "{now} of {first}");
         }
     }
@@ -91,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn what_can_not_be_seen_gives_no_twist() {
+    fn an_invisible_target_gives_no_twist() {
         let desired = pose([0.0, 0.0, 0.5], [0.0; 3]);
         assert!(camera_twist(1.0, &pose([0.0, 0.0, -0.5], [0.0; 3]), &desired).is_none());
         assert!(camera_twist(1.0, &pose([0.0, 0.0, f64::NAN], [0.0; 3]), &desired).is_none());

@@ -79,11 +79,11 @@ pub fn camera_twist(
     let mut error = SVector::<f64, ROWS>::zeros();
     for (corner, (side, up)) in [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].into_iter().enumerate() {
         let point = Point3::new(side * half_width_m, up * half_width_m, 0.0);
-        let seen = ImagePoint::of(&cam_left_from_model.transform_point(&point))?;
+        let current = ImagePoint::of(&cam_left_from_model.transform_point(&point))?;
         let wanted = ImagePoint::of(&desired_from_model.transform_point(&point))?;
         let row = 2 * corner;
-        interaction.fixed_rows_mut::<2>(row).copy_from(&seen.interaction());
-        (error[row], error[row + 1]) = (seen.x - wanted.x, seen.y - wanted.y);
+        interaction.fixed_rows_mut::<2>(row).copy_from(&current.interaction());
+        (error[row], error[row + 1]) = (current.x - wanted.x, current.y - wanted.y);
     }
     let normal: Matrix6<f64> = interaction.transpose() * interaction;
     let solved: Vector6<f64> = normal.cholesky()?.solve(&(interaction.transpose() * error));
@@ -102,20 +102,20 @@ pub(super) mod tests {
 
     /// Pose of the model after the camera has moved by a small step of the twist.
     pub(in crate::law) fn moved(
-        seen: &Pose<CamLeft, Model>,
+        current: &Pose<CamLeft, Model>,
         twist: &Twist<CamLeft>,
         step_s: f64,
     ) -> Pose<CamLeft, Model> {
         let (v, w) = (twist.linear_m_per_s * step_s, twist.angular_rad_per_s * step_s);
         let old_from_new = Pose::<CamLeft, CamLeft>::from_parts(v, UnitQuaternion::from_scaled_axis(w));
-        old_from_new.inverse() * *seen
+        old_from_new.inverse() * *current
     }
 
     #[test]
     fn the_rows_are_the_derivatives_of_the_projection() {
         let point = Point3::new(0.07, -0.04, 0.6);
-        let seen = ImagePoint::of(&point).unwrap();
-        let rows = seen.interaction();
+        let current = ImagePoint::of(&point).unwrap();
+        let rows = current.interaction();
         for axis in 0..6 {
             let mut unit = Vector6::zeros();
             unit[axis] = 1.0;
@@ -134,20 +134,20 @@ pub(super) mod tests {
     #[test]
     fn the_points_go_straight_and_the_camera_arrives() {
         let desired = pose([0.05, 0.0, 0.5], [0.0, 0.0, 0.0]);
-        let mut seen = pose([-0.04, 0.06, 0.8], [0.3, -0.2, 0.5]);
+        let mut current = pose([-0.04, 0.06, 0.8], [0.3, -0.2, 0.5]);
         let corner =
             |pose: &Pose<CamLeft, Model>| ImagePoint::of(&pose.transform_point(&Point3::new(0.06, 0.06, 0.0))).unwrap();
-        let (from, to) = (corner(&seen), corner(&desired));
+        let (from, to) = (corner(&current), corner(&desired));
         let mut aside: f64 = 0.0;
         for _ in 0..2000 {
-            let twist = camera_twist(1.0, 0.06, &seen, &desired).unwrap();
-            seen = moved(&seen, &twist, 0.01);
-            let now = corner(&seen);
+            let twist = camera_twist(1.0, 0.06, &current, &desired).unwrap();
+            current = moved(&current, &twist, 0.01);
+            let now = corner(&current);
             let (way_x, way_y) = (to.x - from.x, to.y - from.y);
             let off = (now.x - from.x) * way_y - (now.y - from.y) * way_x;
             aside = aside.max(off.abs() / way_x.hypot(way_y));
         }
-        assert!((seen.inverse() * desired).log().norm() < 1e-6, "{seen:?}");
+        assert!((current.inverse() * desired).log().norm() < 1e-6, "{current:?}");
         assert!(aside < 0.02, "{aside} from the straight line");
     }
 
@@ -164,7 +164,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn what_can_not_be_seen_gives_no_twist() {
+    fn an_invisible_target_gives_no_twist() {
         let desired = pose([0.0, 0.0, 0.5], [0.0; 3]);
         assert!(camera_twist(1.0, 0.06, &pose([0.0, 0.0, -0.5], [0.0; 3]), &desired).is_none());
         assert!(camera_twist(1.0, 0.06, &pose([0.0, 0.0, f64::NAN], [0.0; 3]), &desired).is_none());

@@ -3,7 +3,7 @@
 use pb3dp_message_codes::codes;
 
 use super::policy::Condition;
-use super::words::RefusedFor;
+use super::wording::RefusedFor;
 
 codes! {
     Condition, "Motion is inhibited" {

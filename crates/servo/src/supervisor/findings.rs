@@ -181,7 +181,7 @@ impl Findings {
         let [vs, tc] = inputs.arms.map(|arm| arm.measured_at);
         let frame = inputs.frame.map(|frame| frame.at);
         let estimate = inputs.estimate.map(|estimate| estimate.at);
-        let stamps = [vs, tc, frame, estimate, inputs.operator.heard_at];
+        let stamps = [vs, tc, frame, estimate, inputs.operator.heartbeat_at];
         let least_s = stamps.into_iter().flatten().map(|at| now.seconds_since(at)).fold(0.0, f64::min);
         (least_s < -step_max_s).then_some(least_s)
     }
@@ -321,7 +321,7 @@ fn of_the_moment(condition: Condition, threshold: f64, inputs: &Inputs, now: Mon
             };
             inputs.arms.iter().enumerate().find_map(stale)
         }
-        Condition::OperatorSilent => above(age_s(inputs.operator.heard_at), threshold),
+        Condition::OperatorSilent => above(age_s(inputs.operator.heartbeat_at), threshold),
         Condition::LimitNear => {
             let end = inputs.range_end?;
             let is_far = end.distance_rad >= threshold;

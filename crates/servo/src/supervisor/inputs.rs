@@ -40,9 +40,9 @@ pub const ARM_NAMES: [&str; 2] = ["vs-robot", "tc-robot"];
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct OperatorInput {
     /// A new command.
-    pub said: Option<OperatorRequest>,
+    pub request: Option<OperatorRequest>,
     /// Last sign of life of a panel or a person, not of this program.
-    pub heard_at: Option<MonotonicTime>,
+    pub heartbeat_at: Option<MonotonicTime>,
     /// Longest silence of this operator, instead of the policy's `age_s`: a person presses a key less often than a panel sends heartbeats.
     pub silent_after: Option<Duration>,
 }
@@ -51,7 +51,7 @@ pub struct OperatorInput {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OperatorRequest {
     /// The command.
-    pub word: OperatorCommand,
+    pub command: OperatorCommand,
     /// Time at which it was given.
     pub at: MonotonicTime,
 }

@@ -325,7 +325,7 @@ impl Policies {
 impl SupervisorConfig {
     ranges! {
         RESUME_AFTER_S: f64 = 0.05..=60.0;
-        WORD_AGE_MAX_S: f64 = 0.05..=5.0;
+        COMMAND_AGE_MAX_S: f64 = 0.05..=5.0;
         SEARCH_MAX_S: f64 = 0.1..=60.0;
     }
 
@@ -336,7 +336,7 @@ impl SupervisorConfig {
     pub fn validate(&self) -> Result<(), SupervisorError> {
         within(|| "resume_after_s".to_owned(), self.resume_after_s, Self::RESUME_AFTER_S)?;
         within(|| "go_after_s".to_owned(), self.go_after_s, self.go_after_s_allowed())?;
-        within(|| "word_age_max_s".to_owned(), self.word_age_max_s, Self::WORD_AGE_MAX_S)?;
+        within(|| "word_age_max_s".to_owned(), self.word_age_max_s, Self::COMMAND_AGE_MAX_S)?;
         if self.search_max_s != 0.0 {
             within(|| "search_max_s".to_owned(), self.search_max_s, Self::SEARCH_MAX_S)?;
         }

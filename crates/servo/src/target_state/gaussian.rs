@@ -142,10 +142,10 @@ impl Gaussian {
 
     /// The state after the measurement update; the covariance in Joseph's form.
     pub(super) fn updated(&self, innovation: &Innovation) -> Self {
-        let seen = self.covariance.fixed_rows::<6>(0).into_owned();
-        let gain = innovation.factor.solve(&seen).transpose();
+        let pose_rows = self.covariance.fixed_rows::<6>(0).into_owned();
+        let gain = innovation.factor.solve(&pose_rows).transpose();
         let error = gain * innovation.residual;
-        let half = self.covariance - gain * seen;
+        let half = self.covariance - gain * pose_rows;
         let columns = half.fixed_columns::<6>(0).into_owned();
         let covariance = half - columns * gain.transpose() + gain * innovation.noise * gain.transpose();
         let state = self.state.plus(&error);

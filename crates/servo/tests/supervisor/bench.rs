@@ -70,7 +70,7 @@ pub fn good(now_s: f64) -> Inputs {
     let arm = ArmInput { state: ArmCondition::Enabled, measured_at: Some(at(now_s - 0.005)) };
     let exposed_at = at(now_s - LATENCY_S);
     Inputs {
-        operator: OperatorInput { heard_at: Some(at(now_s)), ..OperatorInput::default() },
+        operator: OperatorInput { heartbeat_at: Some(at(now_s)), ..OperatorInput::default() },
         controller: Mode::Tracking,
         innovation: Innovation::Agrees,
         target_covariance: None,
@@ -96,8 +96,8 @@ pub struct Bench {
     pub last: Option<Decision>,
     /// Number of steps in which each condition was found.
     pub steps_found: [u64; Condition::COUNT],
-    seen: (Option<EstimateInput>, Option<FrameInput>),
-    said: Option<OperatorRequest>,
+    estimates: (Option<EstimateInput>, Option<FrameInput>),
+    request: Option<OperatorRequest>,
     steps: u64,
     steps_since_rearm: u64,
 }
@@ -110,8 +110,8 @@ impl Bench {
             lie: Box::new(|_| {}),
             last: None,
             steps_found: [0; Condition::COUNT],
-            seen: (None, None),
-            said: None,
+            estimates: (None, None),
+            request: None,
             steps: 0,
             steps_since_rearm: 0,
         }
@@ -156,13 +156,13 @@ impl Bench {
         self.lie = Box::new(|_| {});
     }
 
-    pub fn say(&mut self, word: OperatorCommand) -> Decision {
-        self.say_at(word, self.now_s + STEP_S)
+    pub fn say(&mut self, command: OperatorCommand) -> Decision {
+        self.say_at(command, self.now_s + STEP_S)
     }
 
     /// Passes a command with this time to the next step.
-    pub fn say_at(&mut self, word: OperatorCommand, said_s: f64) -> Decision {
-        self.said = Some(OperatorRequest { word, at: at(said_s) });
+    pub fn say_at(&mut self, command: OperatorCommand, requested_s: f64) -> Decision {
+        self.request = Some(OperatorRequest { command, at: at(requested_s) });
         self.step()
     }
 
@@ -170,12 +170,12 @@ impl Bench {
     fn inputs(&mut self) -> Inputs {
         let mut inputs = good(self.now_s);
         if self.steps.is_multiple_of(FRAME_EVERY) {
-            self.seen = (inputs.estimate, inputs.frame);
+            self.estimates = (inputs.estimate, inputs.frame);
         } else {
             inputs.innovation = Innovation::NoneNew;
         }
-        (inputs.estimate, inputs.frame) = self.seen;
-        inputs.operator.said = self.said.take();
+        (inputs.estimate, inputs.frame) = self.estimates;
+        inputs.operator.request = self.request.take();
         inputs.controller = match self.steps_since_rearm {
             0 => Mode::Idle,
             1..5 => Mode::Locking,

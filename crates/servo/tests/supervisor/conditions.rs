@@ -23,7 +23,7 @@ fn troubles() -> Vec<(Condition, Trouble, Option<f64>)> {
         (Condition::ArmFault, |_| Box::new(|i| i.arms[0].state = ArmCondition::Fault), Some(0.0)),
         (Condition::ArmDisabled, |_| Box::new(|i| i.arms[1].state = ArmCondition::Disabled), Some(0.0)),
         (Condition::ClockStepped, |t| Box::new(move |i| i.arms[0].measured_at = Some(at(t + 60.0))), None),
-        (Condition::OperatorSilent, |t| Box::new(move |i| i.operator.heard_at = Some(at(t))), None),
+        (Condition::OperatorSilent, |t| Box::new(move |i| i.operator.heartbeat_at = Some(at(t))), None),
         (Condition::JointsStale, |t| Box::new(move |i| i.arms[1].measured_at = Some(at(t))), None),
         (Condition::TargetChanged, |_| Box::new(|i| i.estimate.as_mut().unwrap().target = 8), Some(0.0)),
         (
@@ -187,15 +187,15 @@ fn a_cause_that_comes_and_goes_within_its_time_does_nothing() {
 }
 
 #[test]
-fn a_target_that_is_not_seen_is_stale_first_and_lost_later() {
+fn an_invisible_target_is_stale_first_and_lost_later() {
     let mut bench = Bench::following(config());
     let begun_s = bench.now_s;
     bench.lie(|i| i.estimate.as_mut().unwrap().confidence = Confidence::NoPose);
-    let mut seen = Vec::new();
+    let mut transitions = Vec::new();
     for _ in 0..150 {
         if let Some(transition) = bench.step().transition {
             let cause = transition.cause.unwrap();
-            seen.push((transition.to, transition.event, cause.condition));
+            transitions.push((transition.to, transition.event, cause.condition));
             let age_s = transition.at.as_secs_f64() - begun_s;
             let allowed_s = cause.threshold;
             assert!((age_s - allowed_s).abs() < 0.06 && cause.value > allowed_s && cause.value < allowed_s + 0.02);
@@ -205,7 +205,7 @@ fn a_target_that_is_not_seen_is_stale_first_and_lost_later() {
         (State::Holding, Event::HoldFound, Condition::EstimateStale),
         (State::Lost, Event::LossFound, Condition::TargetLost),
     ];
-    assert_eq!(seen, expected);
+    assert_eq!(transitions, expected);
 }
 
 #[test]

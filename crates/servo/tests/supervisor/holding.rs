@@ -83,8 +83,8 @@ fn without_fresh_joints_of_either_arm_both_hold_until_they_are_fresh() {
 #[test]
 fn after_a_silence_or_a_clock_step_the_arm_with_the_target_waits_for_the_operator_too() {
     let mut bench = Bench::following(with(Condition::OperatorSilent, |policy| policy.action = Action::Hold));
-    let heard_s = bench.now_s;
-    bench.lie(move |inputs| inputs.operator.heard_at = Some(at(heard_s)));
+    let heartbeat_s = bench.now_s;
+    bench.lie(move |inputs| inputs.operator.heartbeat_at = Some(at(heartbeat_s)));
     bench.run(1.1);
     assert!(bench.decision().no_arm_may_move && bench.state() == State::Holding, "{}", bench.why());
     bench.truth();
@@ -99,15 +99,15 @@ fn after_a_silence_or_a_clock_step_the_arm_with_the_target_waits_for_the_operato
 
 /// A slow line delivers a command after a later one that ends motion, in a state that this one leaves as it is.
 #[test]
-fn what_was_said_before_a_later_hold_or_stop_moves_nothing() {
+fn commands_given_before_a_later_hold_or_stop_move_nothing() {
     for hold in [OperatorCommand::Hold, OperatorCommand::HoldHand] {
         let mut bench = Bench::following(config());
         bench.say(OperatorCommand::Hold);
         bench.run(0.5);
-        let said_s = bench.now_s;
+        let requested_s = bench.now_s;
         bench.run(0.05);
         bench.say(hold);
-        let decision = bench.say_at(OperatorCommand::Resume, said_s);
+        let decision = bench.say_at(OperatorCommand::Resume, requested_s);
         assert_eq!(decision.refused.unwrap().because, RefusedFor::OlderThanState(State::Holding), "{hold:?}");
         assert!(!bench.run(2.0), "{}", bench.why());
         assert_eq!(bench.say(OperatorCommand::Resume).state, State::Approaching);
@@ -115,20 +115,20 @@ fn what_was_said_before_a_later_hold_or_stop_moves_nothing() {
         let mut bench = Bench::new(config());
         bench.say(OperatorCommand::Select);
         bench.run(0.5);
-        let said_s = bench.now_s;
+        let requested_s = bench.now_s;
         bench.run(0.05);
         bench.say(hold);
-        let decision = bench.say_at(OperatorCommand::Start, said_s);
+        let decision = bench.say_at(OperatorCommand::Start, requested_s);
         assert_eq!(decision.refused.unwrap().because, RefusedFor::OlderThanState(State::Selecting), "{hold:?}");
         assert!(!bench.run(2.0), "{}", bench.why());
     }
     let mut bench = Bench::following(config());
     bench.say(OperatorCommand::Stop);
     bench.run(0.1);
-    let said_s = bench.now_s;
+    let requested_s = bench.now_s;
     bench.run(0.05);
     bench.say(OperatorCommand::Stop);
-    let decision = bench.say_at(OperatorCommand::Reset, said_s);
+    let decision = bench.say_at(OperatorCommand::Reset, requested_s);
     assert_eq!(decision.refused.unwrap().because, RefusedFor::OlderThanState(State::Stopped));
     assert_eq!(bench.state(), State::Stopped);
 }

@@ -11,4 +11,4 @@ mod settling;
 mod stalls;
 mod starting;
 mod table;
-mod words;
+mod wording;

@@ -18,8 +18,8 @@ use super::bench::{at, config};
 #[derive(Clone, Debug)]
 struct Step {
     dt_s: f64,
-    word: Option<(OperatorCommand, f64)>,
-    is_heard: bool,
+    command: Option<(OperatorCommand, f64)>,
+    has_heartbeat: bool,
     arms: [ArmCondition; 2],
     measured_age_s: [Option<f64>; 2],
     has_frame: bool,
@@ -50,8 +50,8 @@ fn arm_condition() -> impl Strategy<Value = ArmCondition> {
     mostly(ArmCondition::Enabled, bad)
 }
 
-fn word() -> impl Strategy<Value = Option<(OperatorCommand, f64)>> {
-    let any_word = prop_oneof![
+fn command() -> impl Strategy<Value = Option<(OperatorCommand, f64)>> {
+    let any_command = prop_oneof![
         4 => Just(OperatorCommand::Select),
         8 => Just(OperatorCommand::Start),
         1 => Just(OperatorCommand::Hold),
@@ -61,7 +61,7 @@ fn word() -> impl Strategy<Value = Option<(OperatorCommand, f64)>> {
         6 => Just(OperatorCommand::Reset)
     ];
     let age_s = prop_oneof![8 => Just(0.0), 1 => -2.0..2.0_f64];
-    prop_oneof![6 => Just(None), 1 => (any_word, age_s).prop_map(Some)]
+    prop_oneof![6 => Just(None), 1 => (any_command, age_s).prop_map(Some)]
 }
 
 fn step() -> impl Strategy<Value = Step> {
@@ -71,7 +71,7 @@ fn step() -> impl Strategy<Value = Step> {
     let mode = prop_oneof![Just(Mode::Idle), Just(Mode::Locking), Just(Mode::Lost)];
     let moving = prop_oneof![1 => Just(Mode::Approaching), 3 => Just(Mode::Tracking)];
     (
-        (mostly(0.01, -0.5..0.6_f64), word(), mostly(true, Just(false))),
+        (mostly(0.01, -0.5..0.6_f64), command(), mostly(true, Just(false))),
         ([arm_condition(), arm_condition()], [age(), age()], mostly(true, Just(false))),
         (
             mostly(1e-4, prop_oneof![Just(f64::NAN), -0.02..0.02_f64]),
@@ -86,13 +86,13 @@ fn step() -> impl Strategy<Value = Step> {
             mostly(0.5, -0.1..0.1_f64),
         ),
     )
-        .prop_map(|((dt_s, word, is_heard), (arms, measured_age_s, has_frame), seen, more)| {
-            let (skew_s, confidence, exposed_age_s, target) = seen;
+        .prop_map(|((dt_s, command, has_heartbeat), (arms, measured_age_s, has_frame), exposed, more)| {
+            let (skew_s, confidence, exposed_age_s, target) = exposed;
             let (variance, innovation, mode, distance_rad) = more;
             Step {
                 dt_s,
-                word,
-                is_heard,
+                command,
+                has_heartbeat,
                 arms,
                 measured_age_s,
                 has_frame,
@@ -110,20 +110,20 @@ fn step() -> impl Strategy<Value = Step> {
 
 /// Newest inputs, kept from step to step.
 #[derive(Default)]
-struct Told {
+struct Timeline {
     now_s: f64,
     sequence: u64,
-    heard_s: f64,
+    heartbeat_s: f64,
     frame: Option<FrameInput>,
     estimate: Option<EstimateInput>,
 }
 
-impl Told {
+impl Timeline {
     fn tell(&mut self, step: &Step) -> Inputs {
         self.now_s = (self.now_s + step.dt_s).max(1.0);
         let now_s = self.now_s;
-        if step.is_heard {
-            self.heard_s = now_s;
+        if step.has_heartbeat {
+            self.heartbeat_s = now_s;
         }
         if step.has_frame {
             self.sequence += 1;
@@ -142,8 +142,8 @@ impl Told {
         };
         Inputs {
             operator: OperatorInput {
-                said: step.word.map(|(word, age_s)| OperatorRequest { word, at: at(now_s - age_s) }),
-                heard_at: Some(at(self.heard_s)),
+                request: step.command.map(|(command, age_s)| OperatorRequest { command, at: at(now_s - age_s) }),
+                heartbeat_at: Some(at(self.heartbeat_s)),
                 silent_after: None,
             },
             controller: step.mode,
@@ -173,7 +173,7 @@ struct Judge {
     selected_s: Option<f64>,
     started: bool,
     started_target: Option<u64>,
-    must_rest_until_word: bool,
+    must_hold_until_command: bool,
     /// The same for the arm with the target.
     both_must_rest: bool,
     /// Last time at which the controller output no velocity or the target jumped, seconds.
@@ -199,7 +199,7 @@ impl Judge {
     }
 
     fn judge(&mut self, inputs: &Inputs, decision: &Decision, now_s: f64) {
-        let word = inputs.operator.said.map(|said| said.word);
+        let command = inputs.operator.request.map(|request| request.command);
         let dangerous =
             inputs.arms.iter().any(|arm| !matches!(arm.state, ArmCondition::Enabled | ArmCondition::Disabled));
         if now_s < self.now_s {
@@ -208,7 +208,9 @@ impl Judge {
             self.selected_s = self.selected_s.map(|selected_s| selected_s.min(now_s));
         }
         self.now_s = now_s;
-        if word == Some(OperatorCommand::Select) && decision.state == State::Selecting && decision.transition.is_some()
+        if command == Some(OperatorCommand::Select)
+            && decision.state == State::Selecting
+            && decision.transition.is_some()
         {
             (self.selected_s, self.started) = (Some(now_s), false);
             (self.sure_s, self.newest) = (None, None);
@@ -223,23 +225,25 @@ impl Judge {
         if decision.transition.is_some_and(|to| matches!(to.event, Event::Start | Event::Resume)) {
             assert!(now_s - self.doubted_s >= GO_AFTER_S - 1e-6, "jump or hold until {} s", self.doubted_s);
         }
-        if word == Some(OperatorCommand::Start) && decision.state == State::Approaching && decision.transition.is_some()
+        if command == Some(OperatorCommand::Start)
+            && decision.state == State::Approaching
+            && decision.transition.is_some()
         {
             self.started = true;
             self.started_target = self.newest.map(|(_, target)| target);
         }
-        let says_hold = matches!(word, Some(OperatorCommand::Hold | OperatorCommand::HoldHand));
-        self.must_rest_until_word |= says_hold;
-        self.both_must_rest |= word == Some(OperatorCommand::Hold);
+        let says_hold = matches!(command, Some(OperatorCommand::Hold | OperatorCommand::HoldHand));
+        self.must_hold_until_command |= says_hold;
+        self.both_must_rest |= command == Some(OperatorCommand::Hold);
         let goes = decision.transition.is_some_and(|to| matches!(to.event, Event::Resume | Event::Start));
         if goes {
-            (self.must_rest_until_word, self.both_must_rest) = (false, false);
+            (self.must_hold_until_command, self.both_must_rest) = (false, false);
         }
         assert!(!self.both_must_rest || decision.no_arm_may_move, "the operator commanded a hold of both arms");
-        if dangerous || word == Some(OperatorCommand::Stop) || decision.permission == Permission::Stop {
+        if dangerous || command == Some(OperatorCommand::Stop) || decision.permission == Permission::Stop {
             self.started = false;
         }
-        if dangerous || word == Some(OperatorCommand::Stop) {
+        if dangerous || command == Some(OperatorCommand::Stop) {
             assert_eq!(decision.permission, Permission::Stop);
             assert!(decision.state.is_latched());
         }
@@ -247,7 +251,7 @@ impl Judge {
             self.motions += 1;
             assert!(share > 0.0 && share <= 1.0);
             assert!(self.started, "not started since the last latch");
-            assert!(!self.must_rest_until_word, "the operator commanded a hold");
+            assert!(!self.must_hold_until_command, "the operator commanded a hold");
             assert!(inputs.arms.iter().all(|arm| arm.state == ArmCondition::Enabled));
             for arm in inputs.arms {
                 let age_s = now_s - arm.measured_at.unwrap().as_secs_f64();
@@ -257,7 +261,7 @@ impl Judge {
             assert!((-0.2 - 1e-6..=0.3 + 1e-6).contains(&sure_age_s), "the estimate is {sure_age_s} s old");
             let frame_age_s = now_s - inputs.frame.unwrap().at.as_secs_f64();
             assert!(frame_age_s <= 0.25 + 1e-6, "the images are {frame_age_s} s old");
-            assert!(now_s - inputs.operator.heard_at.unwrap().as_secs_f64() <= 1.0 + 1e-6);
+            assert!(now_s - inputs.operator.heartbeat_at.unwrap().as_secs_f64() <= 1.0 + 1e-6);
             assert!(matches!(inputs.controller, Mode::Approaching | Mode::Tracking));
         } else {
             assert!(decision.why.to_string().contains(": "), "{}", decision.why);
@@ -274,17 +278,18 @@ fn no_history_permits_motion_without_fresh_confident_data_enabled_arms_and_the_o
     let outcome = runner.run(&histories, |history| {
         // A short time: with this many faults, conditions are rarely gone for long.
         let mut supervisor = Supervisor::new(SupervisorConfig { go_after_s: GO_AFTER_S, ..config() }).unwrap();
-        let (mut told, mut judge) = (Told { now_s: 100.0, heard_s: 100.0, ..Told::default() }, Judge::default());
+        let (mut executed, mut judge) =
+            (Timeline { now_s: 100.0, heartbeat_s: 100.0, ..Timeline::default() }, Judge::default());
         let mut before = State::Idle;
         for step in &history {
-            let inputs = told.tell(step);
-            let decision = supervisor.step(&inputs, at(told.now_s));
-            judge.judge(&inputs, &decision, told.now_s);
+            let inputs = executed.tell(step);
+            let decision = supervisor.step(&inputs, at(executed.now_s));
+            judge.judge(&inputs, &decision, executed.now_s);
             let expected = decision.transition.map_or(before, |transition| transition.to);
             prop_assert_eq!(expected, decision.state);
             if before.is_latched() && !decision.state.is_latched() {
                 prop_assert_eq!(decision.state, State::Idle);
-                prop_assert_eq!(step.word.map(|(word, _)| word), Some(OperatorCommand::Reset));
+                prop_assert_eq!(step.command.map(|(command, _)| command), Some(OperatorCommand::Reset));
             }
             let begins = !before.is_moving() && decision.state.is_moving();
             if let (true, Some((_, shown))) = (begins, judge.newest) {

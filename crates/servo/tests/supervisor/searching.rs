@@ -53,7 +53,7 @@ fn the_operator_and_everything_else_that_is_wrong_end_a_search() {
         |inputs| inputs.frame = None,
         |inputs| inputs.arms[0].measured_at = None,
         |inputs| inputs.range_end.iter_mut().for_each(|end| end.distance_rad = 0.01),
-        |inputs| inputs.operator.heard_at = None,
+        |inputs| inputs.operator.heartbeat_at = None,
     ];
     for wrong in wrong {
         let mut bench = lost(30.0);
@@ -87,7 +87,7 @@ fn the_operator_and_everything_else_that_is_wrong_end_a_search() {
 
 /// A target that jumps and is then lost: a hold that needs `resume` still needs it, and no search starts.
 #[test]
-fn what_waits_for_the_operators_word_does_not_search() {
+fn a_hold_that_waits_for_the_operator_does_not_search() {
     let wrong: [fn(&mut Inputs); 4] = [
         |inputs| inputs.innovation = Innovation::Jump { position_m: 0.3, orientation_rad: 0.0 },
         |inputs| inputs.estimate.iter_mut().for_each(|estimate| estimate.target = 8),

@@ -15,10 +15,10 @@ fn outliers(inputs: &mut Inputs) {
 }
 
 /// Gives the command in every step for 1 s: no motion may start. Counts the refusals for too short a time without an inhibit.
-fn is_refused(bench: &mut Bench, word: OperatorCommand) -> usize {
+fn is_refused(bench: &mut Bench, command: OperatorCommand) -> usize {
     let mut too_short = 0;
     for _ in 0..100 {
-        let decision = bench.say(word);
+        let decision = bench.say(command);
         assert!(!decision.state.is_moving(), "{}", decision.why);
         match decision.refused.map(|refusal| refusal.because) {
             Some(RefusedFor::NotClear { cause, clear_s, wanted_s }) => {
@@ -79,15 +79,15 @@ fn resume_after_a_hold_is_obeyed_as_soon_as_the_controller_has_been_at_it_for_th
 }
 
 #[test]
-fn start_that_was_said_before_another_target_was_followed() {
+fn start_that_was_given_before_another_target_was_followed() {
     let mut bench = Bench::new(config());
     bench.say(OperatorCommand::Select);
     bench.run(0.5);
-    let said_s = bench.now_s;
+    let requested_s = bench.now_s;
     bench.lie(|inputs| inputs.estimate.as_mut().unwrap().target = 8);
     bench.run(0.2);
     assert!(bench.decision().is_ready, "{}", bench.why());
-    let decision = bench.say_at(OperatorCommand::Start, said_s);
+    let decision = bench.say_at(OperatorCommand::Start, requested_s);
     assert_eq!(decision.refused.unwrap().because, RefusedFor::OlderThanTarget);
     assert!(!bench.run(2.0));
     assert_eq!(bench.say(OperatorCommand::Start).state, State::Approaching);

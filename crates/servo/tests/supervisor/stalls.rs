@@ -9,7 +9,7 @@ use super::bench::{Bench, STEP_S, at, config, with};
 
 /// Joints of the camera arm that are too old, and a target that is certain.
 fn stalls(inputs: &mut Inputs) {
-    inputs.arms[0].measured_at = inputs.operator.heard_at.map(|now| now - std::time::Duration::from_millis(60));
+    inputs.arms[0].measured_at = inputs.operator.heartbeat_at.map(|now| now - std::time::Duration::from_millis(60));
     certain(inputs);
 }
 
@@ -130,11 +130,11 @@ fn whatever_else_inhibits_motion_during_a_stall_ends_it() {
 
 #[test]
 fn a_hold_of_the_operator_during_a_stall_drops_the_target() {
-    for word in [OperatorCommand::Hold, OperatorCommand::HoldHand] {
+    for command in [OperatorCommand::Hold, OperatorCommand::HoldHand] {
         let mut bench = following(config());
         bench.lie(stalls);
         bench.step();
-        let decision = bench.say(word);
+        let decision = bench.say(command);
         assert!(decision.rearm && event(&bench) == Some(Event::StallFailed), "{}", decision.why);
         bench.lie(certain);
         assert!(!bench.run(2.0));

@@ -41,7 +41,7 @@ fn faulted() -> Bench {
 }
 
 #[test]
-fn nothing_moves_before_the_operators_word() {
+fn nothing_moves_before_the_operators_command() {
     let mut bench = Bench::new(config());
     stays_at_rest(&mut bench);
     assert_eq!(bench.state(), State::Idle);
@@ -62,7 +62,7 @@ fn select_alone_moves_nothing() {
 }
 
 #[test]
-fn start_before_the_target_was_seen() {
+fn start_before_the_target_was_observed() {
     let mut bench = selected();
     bench.lie(|i| i.estimate = None);
     bench.say(OperatorCommand::Select);
@@ -74,7 +74,7 @@ fn start_before_the_target_was_seen() {
 }
 
 #[test]
-fn start_on_a_target_that_was_seen_before_it_was_selected() {
+fn start_on_a_target_that_was_observed_before_it_was_selected() {
     let mut bench = Bench::new(config());
     bench.run(0.5);
     let old = good(bench.now_s).estimate;
@@ -84,7 +84,7 @@ fn start_on_a_target_that_was_seen_before_it_was_selected() {
 }
 
 #[test]
-fn start_on_a_target_that_was_seen_too_long_ago() {
+fn start_on_a_target_that_was_observed_too_long_ago() {
     let mut bench = selected();
     let old = good(bench.now_s).estimate;
     bench.lie(move |i| i.estimate = old);
@@ -176,7 +176,7 @@ fn start_with_joints_that_nobody_has_measured() {
 #[test]
 fn start_without_a_sign_of_the_operators_life() {
     let mut bench = selected();
-    bench.lie(|i| i.operator.heard_at = None);
+    bench.lie(|i| i.operator.heartbeat_at = None);
     start_is_refused_for(&mut bench, Condition::OperatorSilent);
 }
 
@@ -184,9 +184,9 @@ fn start_without_a_sign_of_the_operators_life() {
 fn start_from_a_zeroed_state() {
     let mut bench = Bench::new(config());
     bench.lie(|i| {
-        let said = i.operator.said;
+        let request = i.operator.request;
         *i = good(0.0);
-        i.operator.said = said;
+        i.operator.request = request;
     });
     bench.say(OperatorCommand::Select);
     assert!(bench.say(OperatorCommand::Start).refused.is_some());
@@ -194,7 +194,7 @@ fn start_from_a_zeroed_state() {
 }
 
 #[test]
-fn start_that_was_said_too_long_ago() {
+fn start_that_was_given_too_long_ago() {
     let mut bench = selected();
     bench.run(2.0);
     let decision = bench.say_at(OperatorCommand::Start, bench.now_s - 0.6);
@@ -204,7 +204,7 @@ fn start_that_was_said_too_long_ago() {
 }
 
 #[test]
-fn start_that_will_be_said() {
+fn start_with_a_time_in_the_future() {
     let mut bench = selected();
     let decision = bench.say_at(OperatorCommand::Start, bench.now_s + 3.0);
     assert!(matches!(decision.refused.unwrap().because, RefusedFor::Age { age_s, .. } if age_s < -2.0));
@@ -212,18 +212,18 @@ fn start_that_will_be_said() {
 }
 
 #[test]
-fn start_that_was_said_to_another_selection() {
+fn start_that_was_given_for_another_selection() {
     let mut bench = selected();
-    let said_s = bench.now_s;
+    let requested_s = bench.now_s;
     bench.say(OperatorCommand::Select);
     bench.run(0.3);
-    let decision = bench.say_at(OperatorCommand::Start, said_s);
+    let decision = bench.say_at(OperatorCommand::Start, requested_s);
     assert_eq!(decision.refused.unwrap().because, RefusedFor::OlderThanState(State::Selecting));
     stays_at_rest(&mut bench);
 }
 
 #[test]
-fn start_said_twice_does_no_more_than_once() {
+fn a_second_start_has_no_further_effect() {
     let mut bench = Bench::following(config());
     let decision = bench.say(OperatorCommand::Start);
     assert_eq!((decision.state, decision.refused, decision.transition), (State::Tracking, None, None));
@@ -239,9 +239,9 @@ fn another_target_selected_in_motion() {
 
 #[test]
 fn start_or_resume_in_a_fault() {
-    for word in [OperatorCommand::Start, OperatorCommand::Resume, OperatorCommand::Select, OperatorCommand::Hold] {
+    for command in [OperatorCommand::Start, OperatorCommand::Resume, OperatorCommand::Select, OperatorCommand::Hold] {
         let mut bench = faulted();
-        bench.say(word);
+        bench.say(command);
         stays_at_rest(&mut bench);
         assert_eq!(bench.state(), State::Fault);
     }
@@ -267,14 +267,14 @@ fn reset_while_the_emergency_stop_is_pressed() {
 }
 
 #[test]
-fn reset_that_was_said_before_the_fault() {
+fn reset_that_was_given_before_the_fault() {
     let mut bench = Bench::following(config());
-    let said_s = bench.now_s;
+    let requested_s = bench.now_s;
     bench.lie(|i| i.arms[0].state = ArmCondition::Fault);
     bench.run(0.1);
     bench.truth();
     bench.run(0.1);
-    let decision = bench.say_at(OperatorCommand::Reset, said_s);
+    let decision = bench.say_at(OperatorCommand::Reset, requested_s);
     assert_eq!(decision.refused.unwrap().because, RefusedFor::OlderThanState(State::Fault));
     assert_eq!(bench.state(), State::Fault);
 }
@@ -299,8 +299,8 @@ fn resume_after_an_emergency_stop_with_the_old_set_points() {
     bench.run(0.2);
     let decision = bench.say(OperatorCommand::Reset);
     assert_eq!((decision.state, decision.rearm), (State::Idle, true));
-    for word in [OperatorCommand::Resume, OperatorCommand::Start] {
-        assert_eq!(bench.say(word).refused.unwrap().because, RefusedFor::State(State::Idle));
+    for command in [OperatorCommand::Resume, OperatorCommand::Start] {
+        assert_eq!(bench.say(command).refused.unwrap().because, RefusedFor::State(State::Idle));
         stays_at_rest(&mut bench);
     }
     // The whole sequence is required: the target is selected, observed again, and started.
@@ -311,13 +311,13 @@ fn resume_after_an_emergency_stop_with_the_old_set_points() {
 }
 
 #[test]
-fn start_that_was_said_before_a_fault_does_nothing_after_the_reset() {
+fn start_that_was_given_before_a_fault_does_nothing_after_the_reset() {
     let mut bench = faulted();
-    let said_s = bench.now_s;
+    let requested_s = bench.now_s;
     bench.say(OperatorCommand::Reset);
     bench.say(OperatorCommand::Select);
     bench.run(0.3);
-    let decision = bench.say_at(OperatorCommand::Start, said_s);
+    let decision = bench.say_at(OperatorCommand::Start, requested_s);
     assert_eq!(decision.refused.unwrap().because, RefusedFor::OlderThanState(State::Selecting));
     stays_at_rest(&mut bench);
 }
@@ -335,26 +335,27 @@ fn reset_of_what_is_not_latched_changes_nothing() {
 /// The latched state of an arm is cleared only by a command that the supervisor would accept.
 #[test]
 fn a_reset_reaches_the_arms_only_in_a_latched_state_and_in_time() {
-    let said = |word, said_s| OperatorRequest { word, at: at(said_s) };
+    let request = |command, requested_s| OperatorRequest { command, at: at(requested_s) };
     let mut bench = Bench::following(config());
-    assert!(!bench.supervisor.would_reset(said(OperatorCommand::Reset, bench.now_s), at(bench.now_s)), "tracking");
+    assert!(!bench.supervisor.would_reset(request(OperatorCommand::Reset, bench.now_s), at(bench.now_s)), "tracking");
     let before_s = bench.now_s;
     bench.lie(|i| i.arms[0].state = ArmCondition::EmergencyStop);
     bench.run(0.1);
     assert_eq!(bench.state(), State::Fault);
     let now_s = bench.now_s;
-    let would = |word, said_s| bench.supervisor.would_reset(said(word, said_s), at(now_s));
+    let would = |command, requested_s| bench.supervisor.would_reset(request(command, requested_s), at(now_s));
     assert!(would(OperatorCommand::Reset, now_s), "also while the emergency stop is latched in the arm");
     assert!(!would(OperatorCommand::Reset, before_s), "the command is from before the fault");
     assert!(!would(OperatorCommand::Reset, now_s + 1.0), "the command has a future time");
     assert!(!would(OperatorCommand::Select, now_s));
-    let later = |said_s| bench.supervisor.would_reset(said(OperatorCommand::Reset, said_s), at(now_s + 1.0));
+    let later =
+        |requested_s| bench.supervisor.would_reset(request(OperatorCommand::Reset, requested_s), at(now_s + 1.0));
     assert!(!later(now_s) && later(now_s + 0.6), "at most 0.5 s old");
     bench.truth();
     bench.run(0.1);
     assert_eq!(bench.say(OperatorCommand::Reset).state, State::Idle);
     assert!(
-        !bench.supervisor.would_reset(said(OperatorCommand::Reset, bench.now_s), at(bench.now_s)),
+        !bench.supervisor.would_reset(request(OperatorCommand::Reset, bench.now_s), at(bench.now_s)),
         "nothing is latched"
     );
 }
@@ -383,8 +384,8 @@ fn the_operators_stop_ends_every_state_and_stays() {
 #[test]
 fn lease_lost_and_regained() {
     let mut bench = Bench::following(config());
-    let heard_at = Some(at(bench.now_s));
-    bench.lie(move |i| i.operator.heard_at = heard_at);
+    let heartbeat_at = Some(at(bench.now_s));
+    bench.lie(move |i| i.operator.heartbeat_at = heartbeat_at);
     bench.run(1.2);
     assert_eq!(bench.state(), State::Stopped);
     bench.truth();
@@ -393,8 +394,8 @@ fn lease_lost_and_regained() {
     let mut bench = Bench::following(with(Condition::OperatorSilent, |policy| {
         policy.action = pb3dp_servo::supervisor::Action::Hold;
     }));
-    let heard_at = Some(at(bench.now_s));
-    bench.lie(move |i| i.operator.heard_at = heard_at);
+    let heartbeat_at = Some(at(bench.now_s));
+    bench.lie(move |i| i.operator.heartbeat_at = heartbeat_at);
     bench.run(1.2);
     assert_eq!(bench.state(), State::Holding);
     bench.truth();
@@ -434,7 +435,7 @@ fn clock_stepped_back() {
 
 /// After the clock is set back, commands are still accepted, above all `reset`.
 #[test]
-fn words_after_the_clock_stepped_back() {
+fn commands_after_the_clock_stepped_back() {
     let mut bench = faulted();
     bench.now_s -= 40.0;
     bench.run(0.5);
@@ -524,7 +525,7 @@ fn a_hold_of_the_operator_is_ended_by_nobody_else() {
 }
 
 #[test]
-fn hold_said_during_a_rest_keeps_it() {
+fn a_hold_command_during_a_hold_keeps_it() {
     let mut bench = Bench::following(config());
     bench.lie(|i| i.arms[0].measured_at = None);
     bench.run(0.1);

@@ -165,10 +165,10 @@ pub fn follow(
         let now_s = cycle as f64 / 100.0;
         while f64::from(frame) / 30.0 + delay_s <= now_s {
             let exposed_s = f64::from(frame) / 30.0;
-            let mut seen = measured(&mut noise, at_s(exposed_s), &pose_of(motion(exposed_s)), covariance);
+            let mut measurement = measured(&mut noise, at_s(exposed_s), &pose_of(motion(exposed_s)), covariance);
             // The tracker reports too small a covariance; `covariance_factor` corrects it.
-            seen.covariance /= config.measurement.covariance_factor;
-            filter.observe(&seen);
+            measurement.covariance /= config.measurement.covariance_factor;
+            filter.observe(&measurement);
             frame += 1;
         }
         let Ok(prediction) = filter.at(at_s(now_s)) else { continue };

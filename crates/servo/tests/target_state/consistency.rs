@@ -137,9 +137,9 @@ fn a_covariance_that_is_too_small_shows() {
     let mut filter = TargetState::new(config).unwrap();
     let (mut sum, frames) = (0.0, 300);
     for frame in 0..frames {
-        let mut seen = measured(&mut noise, at_s(0.033 * f64::from(frame)), &askew(), &correlated());
-        seen.covariance *= 0.25;
-        if let MeasurementVerdict::Accepted { nis } = filter.observe(&seen) {
+        let mut measurement = measured(&mut noise, at_s(0.033 * f64::from(frame)), &askew(), &correlated());
+        measurement.covariance *= 0.25;
+        if let MeasurementVerdict::Accepted { nis } = filter.observe(&measurement) {
             sum += nis;
         }
     }
@@ -180,9 +180,9 @@ fn another_base_frame_gives_the_same_motion_in_other_coordinates() {
     let mut noise = Noise::new(11);
     let mut target = Wanderer::new(&singer(), &mut noise);
     for frame in 0..60 {
-        let seen = measured(&mut noise, at_s(0.033 * f64::from(frame)), &target.base_from_model, &correlated());
-        one.observe(&seen);
-        other.observe(&PoseMeasurement { base_from_model: new_from_old * seen.base_from_model, ..seen });
+        let measurement = measured(&mut noise, at_s(0.033 * f64::from(frame)), &target.base_from_model, &correlated());
+        one.observe(&measurement);
+        other.observe(&PoseMeasurement { base_from_model: new_from_old * measurement.base_from_model, ..measurement });
         (0..33).for_each(|_| target.millisecond(&mut noise));
     }
     let at = at_s(0.033 * 59.0 + 0.08);

@@ -101,9 +101,9 @@ fn after_jump(shift_m: f64, turn_rad: f64) -> (u32, u32) {
         let share = if frame < 100 { Vector3::zeros() } else { Vector3::from(AXIS) };
         let truth = pose_of((share * shift_m, share * turn_rad));
         let t_s = f64::from(frame) / 30.0;
-        let mut seen = measured(&mut noise, at_s(t_s), &truth, &fine());
-        seen.covariance /= config.measurement.covariance_factor;
-        outliers += u32::from(matches!(filter.observe(&seen), MeasurementVerdict::Outlier { .. }));
+        let mut measurement = measured(&mut noise, at_s(t_s), &truth, &fine());
+        measurement.covariance /= config.measurement.covariance_factor;
+        outliers += u32::from(matches!(filter.observe(&measurement), MeasurementVerdict::Outlier { .. }));
         let found = filter.at(at_s(t_s + 0.066)).unwrap().base_from_model * model_from_hand();
         if frame >= 100 && (found.translation_m() - (truth * model_from_hand()).translation_m()).norm() > 1.5e-3 {
             settled = frame - 99;
@@ -133,7 +133,7 @@ fn correlation_between_position_and_tilt_is_used() {
         covariance[(position, angle)] = both;
         covariance[(angle, position)] = both;
     }
-    let error = |told: fn(&Matrix6<f64>) -> Matrix6<f64>| {
+    let error = |stated_covariance: fn(&Matrix6<f64>) -> Matrix6<f64>| {
         let config = TargetStateConfig::default();
         let mut filter = TargetState::new(config).unwrap();
         let mut noise = Noise::new(21);
@@ -142,9 +142,9 @@ fn correlation_between_position_and_tilt_is_used() {
         for frame in 0..600 {
             let t_s = f64::from(frame) / 30.0;
             let truth = pose_of(motion(t_s));
-            let mut seen = measured(&mut noise, at_s(t_s), &truth, &covariance);
-            seen.covariance = told(&covariance) / config.measurement.covariance_factor;
-            filter.observe(&seen);
+            let mut measurement = measured(&mut noise, at_s(t_s), &truth, &covariance);
+            measurement.covariance = stated_covariance(&covariance) / config.measurement.covariance_factor;
+            filter.observe(&measurement);
             let found = filter.at(at_s(t_s)).unwrap().base_from_model;
             sum += (found.translation_m() - truth.translation_m()).norm_squared();
         }
@@ -167,11 +167,11 @@ fn slow_errors_of_the_tilt_do_not_shake_the_hand_at_rest() {
     for frame in 0..3000 {
         bias = bias * keeps + noise.vector() * (0.02f64.to_radians() * (1.0 - keeps * keeps).sqrt());
         let at = at_s(f64::from(frame) / 30.0);
-        let mut seen = measured(&mut noise, at, &truth, &fine());
+        let mut measurement = measured(&mut noise, at, &truth, &fine());
         let tilt = Vector6::new(0.0, 0.0, 0.0, bias.x, bias.y, 0.0);
-        seen.base_from_model = seen.base_from_model.perturbed_in_from(&tilt);
-        seen.covariance /= config.measurement.covariance_factor;
-        filter.observe(&seen);
+        measurement.base_from_model = measurement.base_from_model.perturbed_in_from(&tilt);
+        measurement.covariance /= config.measurement.covariance_factor;
+        filter.observe(&measurement);
         let prediction = filter.at(at + std::time::Duration::from_millis(80)).unwrap();
         let found = prediction.base_from_model * model_from_hand();
         if frame > 60 {

@@ -21,11 +21,12 @@ fn sequence(frames: u32) -> Vec<PoseMeasurement> {
     let mut all = Vec::new();
     for frame in 0..frames {
         let t = f64::from(frame) / 30.0;
-        let mut seen = measured(&mut noise, at_s(t), &pose_of(fig7(t + 2.5)), &coarse());
+        let mut measurement = measured(&mut noise, at_s(t), &pose_of(fig7(t + 2.5)), &coarse());
         if frame == 20 {
-            seen.base_from_model = seen.base_from_model * Pose::from_translation(Vector3::new(0.02, 0.0, 0.03));
+            measurement.base_from_model =
+                measurement.base_from_model * Pose::from_translation(Vector3::new(0.02, 0.0, 0.03));
         }
-        all.push(seen);
+        all.push(measurement);
     }
     all
 }
@@ -113,7 +114,7 @@ fn a_pose_out_of_this_world_is_an_outlier() {
 #[test]
 fn what_is_older_than_the_history_or_there_already_is_not_used() {
     let all = sequence(40);
-    let mut filter = fed(all.iter().filter(|seen| seen.at != all[26].at));
+    let mut filter = fed(all.iter().filter(|measurement| measurement.at != all[26].at));
     let before = ahead(&filter);
     assert_eq!(filter.observe(&all[10]), MeasurementVerdict::TooOld);
     assert_eq!(filter.observe(&all[26]), MeasurementVerdict::TooOld, "only the oldest stored one is before it");
@@ -125,7 +126,7 @@ fn what_is_older_than_the_history_or_there_already_is_not_used() {
 fn missing_measurements_widen_the_covariance() {
     let all = sequence(40);
     let full = ahead(&fed(&all));
-    let gappy = ahead(&fed(all.iter().enumerate().filter(|(i, _)| i % 5 == 4).map(|(_, seen)| seen)));
+    let gappy = ahead(&fed(all.iter().enumerate().filter(|(i, _)| i % 5 == 4).map(|(_, measurement)| measurement)));
     assert!(gappy.covariance.trace() > 1.5 * full.covariance.trace(), "{gappy:?} {full:?}");
     let apart = gappy.base_from_model.inverse() * full.base_from_model;
     assert!(apart.translation_m().norm() < 5e-3 && apart.rotation_angle_rad() < 0.02, "{apart:?}");
@@ -181,11 +182,17 @@ fn a_direction_that_is_not_observed_does_no_harm() {
     let mut noise = Noise::new(2);
     for frame in 0..90 {
         let t = f64::from(frame) / 30.0;
-        let seen = measured(&mut noise, at_s(t), &pose_of(fig7(t + 1.0)), &coarse());
-        let turned =
-            seen.base_from_model.perturbed_in_from(&Vector6::new(0.0, 0.0, 0.0, 0.0, 0.0, 1e-2 * noise.normal()));
-        seeing.observe(&seen);
-        let verdict = blind.observe(&PoseMeasurement { at: seen.at, base_from_model: turned, covariance });
+        let measurement = measured(&mut noise, at_s(t), &pose_of(fig7(t + 1.0)), &coarse());
+        let turned = measurement.base_from_model.perturbed_in_from(&Vector6::new(
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            1e-2 * noise.normal(),
+        ));
+        seeing.observe(&measurement);
+        let verdict = blind.observe(&PoseMeasurement { at: measurement.at, base_from_model: turned, covariance });
         assert!(!matches!(verdict, MeasurementVerdict::Outlier { .. }), "{verdict:?} {frame}");
     }
     let (blind, seeing) = (ahead(&blind), ahead(&seeing));
@@ -200,8 +207,8 @@ fn there_is_no_prediction_without_a_target_or_beyond_the_horizon() {
     let mut filter = TargetState::new(config()).unwrap();
     assert_eq!(filter.at(at_s(1.0)), Err(NotPredictable::NoTarget));
     let all = sequence(40);
-    for seen in &all {
-        filter.observe(seen);
+    for measurement in &all {
+        filter.observe(measurement);
     }
     let newest = all[39].at.as_secs_f64();
     assert!(filter.at(at_s(newest + 0.4999)).is_ok());
@@ -231,8 +238,8 @@ fn after_a_long_gap_a_new_target_begins() {
 #[test]
 fn time_in_milliseconds_serves_as_well() {
     let mut rounded = sequence(60);
-    for seen in &mut rounded {
-        seen.at = MonotonicTime::from_nanos((seen.at.as_nanos() + 500_000) / 1_000_000 * 1_000_000);
+    for measurement in &mut rounded {
+        measurement.at = MonotonicTime::from_nanos((measurement.at.as_nanos() + 500_000) / 1_000_000 * 1_000_000);
     }
     let (exact, rounded) = (fed(&sequence(60)), fed(&rounded));
     let at = at_s(59.0 / 30.0 + 0.08);
@@ -301,12 +308,12 @@ fn measurements_and_predictions_leave_the_heap_alone() {
     let all = sequence(60);
     let mut filter = TargetState::new(config()).unwrap();
     let before = requests();
-    for (i, seen) in all.iter().enumerate() {
+    for (i, measurement) in all.iter().enumerate() {
         // Every third measurement arrives two frames late.
         let late = if i % 3 == 2 { all.get(i + 2) } else { None };
-        filter.observe(late.unwrap_or(seen));
-        filter.observe(seen);
-        filter.at(seen.at).unwrap();
+        filter.observe(late.unwrap_or(measurement));
+        filter.observe(measurement);
+        filter.at(measurement.at).unwrap();
     }
     assert_eq!(requests(), before);
     let probe: Pose<Base, Hand> = filter.at(all[59].at).unwrap().base_from_model * model_from_hand();

@@ -126,7 +126,7 @@ fn a_mistyped_backend_is_the_only_line_and_gets_the_nearest_word() {
 
 /// Every missing key is named, and the one line that would state them all.
 #[test]
-fn a_setup_without_a_base_is_told_to_add_one() {
+fn a_setup_without_a_base_is_refused_with_the_line_to_add() {
     let folder = tempfile::tempdir().unwrap();
     let whole = built_in::setup("sim").unwrap().text;
     let one_missing = whole.replacen("go_after_s = ", "# go_after_s = ", 1);

@@ -251,7 +251,7 @@ mod tests {
 
     #[test]
     fn faults_that_can_not_be_are_refused_by_name() {
-        for (faults, told) in [
+        for (faults, expected_text) in [
             ("kind = \"dropped\"\nshare = 1.5", "camera fault dropped: share is 1.5"),
             ("kind = \"late\"\npairs = 0", "camera.faults[0].pairs = 0"),
             ("kind = \"torn\"", "camera.faults[0]: a fault of kind torn also needs share"),
@@ -261,7 +261,7 @@ mod tests {
             ("kind = \"upside-down\"", "upside-down"),
         ] {
             let refused = read(&format!("[[camera.faults]]\nfrom_s = 1.0\nuntil_s = 2.0\n{faults}")).unwrap_err();
-            assert!(refused.contains(told), "{refused}");
+            assert!(refused.contains(expected_text), "{refused}");
         }
         let refused = read("[[camera.faults]]\nkind = \"miscalibrated\"").unwrap_err();
         assert!(refused.contains("also needs from_s, until_s, columns_px, rows_px, roll_deg, scale"), "{refused}");

@@ -56,7 +56,7 @@ use self::range::search_range;
 pub use self::real_cameras::{RealCameras, Synchronisation, interval, is_for_cameras_only, read_cameras};
 use self::seeds::Stream;
 use self::servo::ServoSection;
-use self::sight::{CameraEntry, CameraTable, Sight};
+use self::sight::{CameraEntry, CameraTable, VisionSettings};
 use self::supervisor::SupervisorSection;
 pub use self::truth::Truth;
 use self::truth::TruthSection;
@@ -383,7 +383,7 @@ impl SetupFile {
         if !check.is_clean() {
             return None;
         }
-        let Sight { rig, frames, real_cameras, world, nominal_calibration, calibration } = sight?;
+        let VisionSettings { rig, frames, real_cameras, world, nominal_calibration, calibration } = sight?;
         Some(Setup {
             seed: self.run.seed,
             pace: self.run.pace,

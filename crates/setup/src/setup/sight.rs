@@ -35,7 +35,7 @@ pub(super) enum CameraTable {
 }
 
 /// Vision settings of a run; see [`Setup`](super::Setup).
-pub(super) struct Sight {
+pub(super) struct VisionSettings {
     pub(super) rig: StereoRig,
     pub(super) frames: FrameTiming,
     pub(super) real_cameras: Option<RealCameras>,
@@ -66,7 +66,7 @@ impl CameraTable {
         motion: (f64, &SearchRange),
         scene: Option<&SceneSection>,
         check: &mut Checker,
-    ) -> Option<Sight> {
+    ) -> Option<VisionSettings> {
         match self {
             Self::Sim(section) => {
                 let (rig, frames, sensor) = section.build(check);
@@ -78,7 +78,7 @@ impl CameraTable {
                 let (scene, blur_moments) = (scene?.build(check), section.blur_moments());
                 let world =
                     SimulatedWorld { scene, sensor, sensor_seed: 0, blur_moments, faults, truth: Truth::default() };
-                Some(Sight {
+                Some(VisionSettings {
                     rig: rig?,
                     frames,
                     real_cameras: None,
@@ -99,7 +99,7 @@ impl CameraTable {
                 let exposure = cameras.exposure().max(Duration::from_micros(1));
                 let period = cameras.period();
                 let in_use = section.in_use((calibration.source, calibration.judgement), check);
-                Some(Sight {
+                Some(VisionSettings {
                     rig: calibration.rig,
                     nominal_calibration: calibration.not_measured,
                     calibration: Some(CalibrationInUse { warnings: calibration.warnings, ..in_use }),

@@ -189,7 +189,7 @@ impl SupervisorSection {
         };
         check.number("supervisor.resume_after_s", self.resume_after_s, SupervisorConfig::RESUME_AFTER_S);
         check.number("supervisor.go_after_s", self.go_after_s, config.go_after_s_allowed());
-        check.number("supervisor.word_age_max_s", self.word_age_max_s, SupervisorConfig::WORD_AGE_MAX_S);
+        check.number("supervisor.word_age_max_s", self.word_age_max_s, SupervisorConfig::COMMAND_AGE_MAX_S);
         // Without the key there is no search.
         if self.search_max_s.is_some() {
             check.number("supervisor.search_max_s", search_max_s, SupervisorConfig::SEARCH_MAX_S);

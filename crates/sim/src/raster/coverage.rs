@@ -36,7 +36,7 @@ struct Samples {
     ray: [f32; 2],
     ray_slopes: [f32; 4],
     inv_z: [f32; SAMPLES],
-    seen: [u32; SAMPLES],
+    visible: [u32; SAMPLES],
 }
 
 impl Samples {
@@ -46,7 +46,7 @@ impl Samples {
             ray: [view.ray_x[at], view.ray_y[at]],
             ray_slopes: view.ray_slopes(column, row),
             inv_z: [0.0; SAMPLES],
-            seen: [NOTHING; SAMPLES],
+            visible: [NOTHING; SAMPLES],
         }
     }
 }
@@ -90,12 +90,12 @@ impl EdgePixels {
     }
 
     /// Writes the colours of all edge pixels: the mean of the samples, with each surface shaded at the centre of its samples.
-    pub(crate) fn shade(&self, seen: &ShadingInput<'_>, out: &mut [u16]) {
+    pub(crate) fn shade(&self, visible: &ShadingInput<'_>, out: &mut [u16]) {
         let mut scratch = Scratch::new();
-        for row in 0..seen.view.height {
+        for row in 0..visible.view.height {
             for index in self.row_starts[row]..self.row_starts[row + 1] {
-                let at = 3 * (row * seen.view.width + usize::from(self.columns[index]));
-                out[at..at + 3].copy_from_slice(&mean_colour(&self.samples[index], seen, &mut scratch));
+                let at = 3 * (row * visible.view.width + usize::from(self.columns[index]));
+                out[at..at + 3].copy_from_slice(&mean_colour(&self.samples[index], visible, &mut scratch));
             }
         }
     }
@@ -124,17 +124,17 @@ fn draw_pixel(triangle: &ScreenTriangle, code: u32, samples: &mut Samples) {
         let hit = (e0 >= 0.0) & (e1 >= 0.0) & (e2 >= 0.0) & (nearness > samples.inv_z[i]);
         let mask = u32::from(hit).wrapping_neg();
         samples.inv_z[i] = f32::from_bits((nearness.to_bits() & mask) | (samples.inv_z[i].to_bits() & !mask));
-        samples.seen[i] = (code & mask) | (samples.seen[i] & !mask);
+        samples.visible[i] = (code & mask) | (samples.visible[i] & !mask);
     }
 }
 
-fn mean_colour(samples: &Samples, seen: &ShadingInput<'_>, scratch: &mut Scratch) -> [u16; 3] {
+fn mean_colour(samples: &Samples, visible: &ShadingInput<'_>, scratch: &mut Scratch) -> [u16; 3] {
     let ([x, y], slopes) = (samples.ray, samples.ray_slopes);
     let (mut sum, mut todo) = ([0u32; 3], (1u32 << SAMPLES) - 1);
     while todo != 0 {
-        let code = samples.seen[todo.trailing_zeros() as usize];
+        let code = samples.visible[todo.trailing_zeros() as usize];
         let (mut count, mut u, mut v) = (0u32, 0.0f32, 0.0f32);
-        for i in (0..SAMPLES).filter(|&i| samples.seen[i] >> TRIANGLE_BITS == code >> TRIANGLE_BITS) {
+        for i in (0..SAMPLES).filter(|&i| samples.visible[i] >> TRIANGLE_BITS == code >> TRIANGLE_BITS) {
             todo &= !(1 << i);
             count += 1;
             u += SAMPLE_U[i];
@@ -144,9 +144,9 @@ fn mean_colour(samples: &Samples, seen: &ShadingInput<'_>, scratch: &mut Scratch
         if code != NOTHING {
             let (u, v) = (u / (32 * count) as f32, v / (32 * count) as f32);
             let ray = (x + slopes[0] * u + slopes[1] * v, y + slopes[2] * u + slopes[3] * v);
-            let triangle = &seen.triangles[triangle_index(code)];
-            let texture = &seen.parts[usize::from(triangle.part)].texture;
-            shade_run(triangle, texture, seen.view.pixel_size, (&[ray.0], &[ray.1]), scratch, &mut colour);
+            let triangle = &visible.triangles[triangle_index(code)];
+            let texture = &visible.parts[usize::from(triangle.part)].texture;
+            shade_run(triangle, texture, visible.view.pixel_size, (&[ray.0], &[ray.1]), scratch, &mut colour);
         }
         for (sum, channel) in sum.iter_mut().zip(colour) {
             *sum += count * u32::from(channel);

@@ -63,7 +63,7 @@ const NEAR_M: f64 = 1e-3;
 const EDGE_ROUNDING: f32 = 3e-7;
 
 /// A vertex in the camera's frame.
-struct SeenVertex {
+struct ProjectedVertex {
     in_cam: Vector3<f64>,
     texel: [f64; 2],
     light: f64,
@@ -86,9 +86,9 @@ pub(crate) fn collect_triangles(
             continue;
         }
         let Some(pixels) = pixel_box(&positions, view) else { continue };
-        let seen: [SeenVertex; 3] = std::array::from_fn(|k| {
+        let visible: [ProjectedVertex; 3] = std::array::from_fn(|k| {
             let vertex = &part.mesh.vertices[corners[k] as usize];
-            SeenVertex {
+            ProjectedVertex {
                 in_cam: positions[k].coords,
                 texel: [vertex.texture.x * size[0], vertex.texture.y * size[1]],
                 light: lighting.on(&pose.world_from_part.transform_vector(&vertex.normal)),
@@ -99,7 +99,7 @@ pub(crate) fn collect_triangles(
                 }),
             }
         });
-        if let Some(triangle) = ScreenTriangle::new(&seen, part_index, pixels) {
+        if let Some(triangle) = ScreenTriangle::new(&visible, part_index, pixels) {
             triangles.push(triangle);
         }
     }
@@ -114,7 +114,7 @@ pub(crate) struct PartPose {
 
 impl ScreenTriangle {
     /// `None` for a triangle without area.
-    fn new(corners: &[SeenVertex; 3], part: u16, pixels: PixelBox) -> Option<Self> {
+    fn new(corners: &[ProjectedVertex; 3], part: u16, pixels: PixelBox) -> Option<Self> {
         let [p0, p1, p2] = [&corners[0].in_cam, &corners[1].in_cam, &corners[2].in_cam];
         let determinant = p0.dot(&p1.cross(p2));
         if determinant.abs() < 1e-18 {
@@ -128,7 +128,7 @@ impl ScreenTriangle {
             let tolerance = EDGE_ROUNDING * (plane.a.abs() + plane.b.abs() + plane.c.abs());
             Plane { c: plane.c + tolerance, ..plane }
         });
-        let attribute = |value: fn(&SeenVertex) -> f64| interpolate([0, 1, 2].map(|i| value(&corners[i])));
+        let attribute = |value: fn(&ProjectedVertex) -> f64| interpolate([0, 1, 2].map(|i| value(&corners[i])));
         Some(Self {
             edges,
             inv_z: interpolate([1.0; 3]),
@@ -182,7 +182,7 @@ mod tests {
 
     #[test]
     fn planes_give_depth_and_attributes_where_a_ray_meets_the_triangle() {
-        let corner = |x: f64, y: f64, z: f64, u: f64, v: f64, light: f64| SeenVertex {
+        let corner = |x: f64, y: f64, z: f64, u: f64, v: f64, light: f64| ProjectedVertex {
             in_cam: Vector3::new(x, y, z),
             texel: [u, v],
             light,
@@ -196,7 +196,8 @@ mod tests {
         let pixels = PixelBox { x: (0, 1), y: (0, 1) };
         let triangle = ScreenTriangle::new(&corners, 7, pixels).unwrap();
         let shares = [0.25, 0.35, 0.4];
-        let mean = |value: &dyn Fn(&SeenVertex) -> f64| (0..3).map(|i| shares[i] * value(&corners[i])).sum::<f64>();
+        let mean =
+            |value: &dyn Fn(&ProjectedVertex) -> f64| (0..3).map(|i| shares[i] * value(&corners[i])).sum::<f64>();
         let (x, y, z) = (mean(&|c| c.in_cam.x), mean(&|c| c.in_cam.y), mean(&|c| c.in_cam.z));
         let at = |plane: &Plane| f64::from(plane.at((x / z) as f32, (y / z) as f32)) * z;
         let check = |found: f64, expected: f64| assert!((found / expected - 1.0).abs() < 1e-5, "{found} {expected}");

@@ -9,7 +9,7 @@ use crate::wide::kernels;
 /// No triangle.
 pub(crate) const NOTHING: u32 = u32::MAX;
 
-/// Bits of a [`Visibility::seen`] entry below the part index.
+/// Bits of a [`Visibility::visible`] entry below the part index.
 pub(crate) const TRIANGLE_BITS: u32 = 20;
 
 /// Neighbouring pixels of one surface whose inverse depths differ by more than this share are an edge.
@@ -21,30 +21,30 @@ pub(crate) struct Visibility {
     /// 1 / depth, 0 where no surface is visible.
     pub(crate) inv_z: Vec<f32>,
     /// Part index and triangle index (see [`TRIANGLE_BITS`]), or [`NOTHING`].
-    pub(crate) seen: Vec<u32>,
+    pub(crate) visible: Vec<u32>,
 }
 
 impl Visibility {
     pub(crate) fn new(pixels: usize) -> Self {
-        Self { inv_z: vec![0.0; pixels], seen: vec![NOTHING; pixels] }
+        Self { inv_z: vec![0.0; pixels], visible: vec![NOTHING; pixels] }
     }
 
     /// Finds the nearest triangle of every pixel centre.
     pub(crate) fn draw(&mut self, view: &View, triangles: &[ScreenTriangle]) {
         self.inv_z.fill(0.0);
-        self.seen.fill(NOTHING);
+        self.visible.fill(NOTHING);
         draw_triangles(kernels(), self, view, triangles);
     }
 
     /// Whether a pixel and one of its eight neighbours see different surfaces.
     fn is_edge(&self, view: &View, column: usize, row: usize) -> bool {
         let here = row * view.width + column;
-        let (part, depth) = (self.seen[here] >> TRIANGLE_BITS, self.inv_z[here]);
+        let (part, depth) = (self.visible[here] >> TRIANGLE_BITS, self.inv_z[here]);
         let columns = column.saturating_sub(1)..(column + 2).min(view.width);
         (row.saturating_sub(1)..(row + 2).min(view.height)).any(|r| {
             columns.clone().any(|c| {
                 let there = r * view.width + c;
-                self.seen[there] >> TRIANGLE_BITS != part || (self.inv_z[there] - depth).abs() > DEPTH_STEP * depth
+                self.visible[there] >> TRIANGLE_BITS != part || (self.inv_z[there] - depth).abs() > DEPTH_STEP * depth
             })
         })
     }
@@ -63,11 +63,11 @@ impl Visibility {
     /// Whether a block of a row and its surroundings see one triangle only (whose parts cannot occlude each other).
     #[inline(always)]
     fn is_plain(&self, view: &View, row: usize, first: usize, end: usize) -> bool {
-        let reference = self.seen[row * view.width + first];
+        let reference = self.visible[row * view.width + first];
         let (from, to) = (first.saturating_sub(1), (end + 1).min(view.width));
         (row.saturating_sub(1)..(row + 2).min(view.height)).all(|r| {
-            let block = &self.seen[r * view.width + from..r * view.width + to];
-            block.iter().fold(0, |different, &seen| different | (seen ^ reference)) == 0
+            let block = &self.visible[r * view.width + from..r * view.width + to];
+            block.iter().fold(0, |different, &visible| different | (visible ^ reference)) == 0
         })
     }
 }
@@ -88,7 +88,7 @@ fn draw_triangles_kernel(out: &mut Visibility, view: &View, triangles: &[ScreenT
                 let cover = if end - first <= BLOCK { Cover::Part } else { cover(triangle, view, column, row) };
                 let span = row * view.width + column..row * view.width + block_end;
                 let rays = (&view.ray_x[span.clone()], &view.ray_y[span.clone()]);
-                let out = (&mut out.inv_z[span.clone()], &mut out.seen[span]);
+                let out = (&mut out.inv_z[span.clone()], &mut out.visible[span]);
                 match cover {
                     Cover::None => {}
                     Cover::Part => draw_span::<false>(triangle, code, rays, out),
@@ -120,12 +120,12 @@ fn cover(triangle: &ScreenTriangle, view: &View, column: usize, row: usize) -> C
     }
 }
 
-/// Entry of [`Visibility::seen`].
+/// Entry of [`Visibility::visible`].
 pub(crate) fn triangle_code(part: u16, triangle_index: usize) -> u32 {
     (u32::from(part) << TRIANGLE_BITS) | (triangle_index as u32 & ((1 << TRIANGLE_BITS) - 1))
 }
 
-/// Index into the triangles of an entry of [`Visibility::seen`].
+/// Index into the triangles of an entry of [`Visibility::visible`].
 pub(crate) fn triangle_index(code: u32) -> usize {
     (code & ((1 << TRIANGLE_BITS) - 1)) as usize
 }
@@ -139,13 +139,13 @@ fn draw_span<const WHOLE: bool>(
     out: (&mut [f32], &mut [u32]),
 ) {
     let [e0, e1, e2] = &triangle.edges;
-    for (((&x, &y), inv_z), seen) in rays.0.iter().zip(rays.1).zip(out.0).zip(out.1) {
+    for (((&x, &y), inv_z), visible) in rays.0.iter().zip(rays.1).zip(out.0).zip(out.1) {
         let nearness = triangle.inv_z.at(x, y);
         let inside = WHOLE | ((e0.at(x, y) >= 0.0) & (e1.at(x, y) >= 0.0) & (e2.at(x, y) >= 0.0));
         let hit = inside & (nearness > *inv_z);
         // Selected by bit masks, because a conditional store would not be vectorised.
         let mask = u32::from(hit).wrapping_neg();
         *inv_z = f32::from_bits((nearness.to_bits() & mask) | (inv_z.to_bits() & !mask));
-        *seen = (code & mask) | (*seen & !mask);
+        *visible = (code & mask) | (*visible & !mask);
     }
 }

@@ -95,8 +95,8 @@ fn vertex(solid: &Solid, side: &Side, a: f64, b: f64) -> Vertex {
 /// Outermost points as seen from the front.
 fn silhouette(points: impl Iterator<Item = Point3<f64>>) -> Vec<Point3<f64>> {
     let points: Vec<_> = points.collect();
-    let seen: Vec<_> = points.iter().map(|p| Point2::new(p.x, p.y) / (p.z + VIEWING_DISTANCE_M)).collect();
-    convex_hull(&seen).into_iter().map(|index| points[index]).collect()
+    let projected: Vec<_> = points.iter().map(|p| Point2::new(p.x, p.y) / (p.z + VIEWING_DISTANCE_M)).collect();
+    convex_hull(&projected).into_iter().map(|index| points[index]).collect()
 }
 
 /// Skin: earthy yellow, darker blotches, eyes and grain.

@@ -105,7 +105,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_room_is_seen_from_within_and_closed() {
+    fn the_room_is_rendered_from_within_and_closed() {
         let mut area = 0.0;
         for part in build(1) {
             for triangle in &part.mesh.triangles {

@@ -119,11 +119,12 @@ impl VirtualFarEnd for VirtualEnd {
     fn next_deadline(&self, now: MonotonicTime) -> Option<MonotonicTime> {
         let line = lock(&self.line);
         let far = lock(&self.far);
-        let heard = line.to_gateway.next_arrival().and_then(|at| match far.controller.readable_on_line(at.max(now)) {
-            0 => far.controller.reads_line_again(),
-            _ => Some(at),
-        });
-        [heard, line.to_host.next_arrival(), far.next_deadline()].into_iter().flatten().min()
+        let answered =
+            line.to_gateway.next_arrival().and_then(|at| match far.controller.readable_on_line(at.max(now)) {
+                0 => far.controller.reads_line_again(),
+                _ => Some(at),
+            });
+        [answered, line.to_host.next_arrival(), far.next_deadline()].into_iter().flatten().min()
     }
 
     fn work(&self, now: MonotonicTime) -> bool {

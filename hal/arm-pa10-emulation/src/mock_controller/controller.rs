@@ -45,7 +45,7 @@ pub struct MockCounters {
     /// Commands that no correct driver sends: torques, undefined bits.
     pub odd: u64,
     /// Axes that were commanded to have neither brake nor servo.
-    pub let_go: u64,
+    pub released: u64,
     /// Number of stops because no message came.
     pub watchdog_trips: u64,
     /// Faults, by their name in scripts.
@@ -358,8 +358,8 @@ impl MockController {
 
     /// Stops if the dead-man switch is released while commands request its supervision.
     pub(super) fn watch_dead_man(&mut self, now: MonotonicTime) {
-        let let_go = self.watches_dead_man && self.mode == ControlMode::Control && !self.panel.dead_man_held;
-        let cause = let_go.then_some((ServoAlarm::DeadManOff, CommAlarm::DeadManOff));
+        let released = self.watches_dead_man && self.mode == ControlMode::Control && !self.panel.dead_man_held;
+        let cause = released.then_some((ServoAlarm::DeadManOff, CommAlarm::DeadManOff));
         if let Some((servo, comm)) = cause {
             self.panel.raise_everywhere(servo, comm);
             self.stop(now);

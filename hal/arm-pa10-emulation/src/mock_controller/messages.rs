@@ -113,20 +113,20 @@ impl MockController {
     fn obey(&mut self, now: MonotonicTime, command: &RawCommand, measured: &ArmReply) {
         let times = self.brake_times();
         let any_alarm = self.panel.servo.iter().any(|memory| memory.shown().is_some());
-        for (axis, told) in Axis::ALL.into_iter().zip(&command.axes) {
+        for (axis, commanded) in Axis::ALL.into_iter().zip(&command.axes) {
             let index = axis.index();
             let stopped = !self.panel.servo_power
                 || self.panel.servo[index].is_tripped()
-                || (any_alarm && told.stops_with_others);
+                || (any_alarm && commanded.stops_with_others);
             if stopped {
                 self.axes[index].stop(now, times);
                 continue;
             }
-            self.counters.let_go += u64::from(!told.brake_on && (!told.servo_on || told.torque_mode));
+            self.counters.released += u64::from(!commanded.brake_on && (!commanded.servo_on || commanded.torque_mode));
             // Torques are not emulated: nothing holds an axis under torque control.
-            let servo_on = told.servo_on && !told.torque_mode;
-            let velocity = self.within_limits(axis, measured.axes[index].angle, told.velocity_rad_per_s);
-            self.axes[index].command(now, times, told.brake_on, servo_on, velocity);
+            let servo_on = commanded.servo_on && !commanded.torque_mode;
+            let velocity = self.within_limits(axis, measured.axes[index].angle, commanded.velocity_rad_per_s);
+            self.axes[index].command(now, times, commanded.brake_on, servo_on, velocity);
         }
     }
 

@@ -44,7 +44,7 @@ pub enum LineError {
         form: &'static str,
     },
     /// The line has extra words.
-    #[error("`{got}` is one word too many; remove it")]
+    #[error("unexpected argument `{got}`; remove it")]
     Surplus {
         /// The word found.
         got: String,

@@ -33,7 +33,7 @@ pub struct BusCounters {
 
 /// A frame of the host that waits for its answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Asker {
+pub(super) struct Requester {
     pub sequence: u16,
     pub frame_type: u8,
     /// Whether it came by RAW: then its answer is RAW_REPLY.
@@ -42,22 +42,22 @@ pub(super) struct Asker {
 
 /// Frames of the host that wait for the reply to a cyclic command.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Askers {
-    list: [Option<Asker>; ASKERS_MAX],
+pub(super) struct Requesters {
+    list: [Option<Requester>; ASKERS_MAX],
 }
 
-impl Askers {
+impl Requesters {
     /// Adds one; if the list is full, the oldest is removed and returned.
-    pub fn push(&mut self, asker: Asker) -> Option<Asker> {
+    pub fn push(&mut self, requester: Requester) -> Option<Requester> {
         if let Some(place) = self.list.iter_mut().find(|place| place.is_none()) {
-            *place = Some(asker);
+            *place = Some(requester);
             return None;
         }
         self.list.rotate_left(1);
-        self.list[ASKERS_MAX - 1].replace(asker)
+        self.list[ASKERS_MAX - 1].replace(requester)
     }
 
-    pub fn take(&mut self) -> impl Iterator<Item = Asker> + use<> {
+    pub fn take(&mut self) -> impl Iterator<Item = Requester> + use<> {
         std::mem::take(self).list.into_iter().flatten()
     }
 }
@@ -69,7 +69,7 @@ pub(super) struct Outstanding {
     /// Cycles that have begun since the message was sent.
     pub cycles: u32,
     /// Frames that wait for the reply in the dialect `transparent`.
-    pub askers: Askers,
+    pub requesters: Requesters,
 }
 
 /// A classified frame of the bus.
@@ -78,7 +78,7 @@ pub(super) enum Arrived {
     /// No expected reply; it is counted.
     Nothing,
     /// The expected measurement.
-    Sample(ArmReply, Askers, RawReply),
+    Sample(ArmReply, Requesters, RawReply),
     /// The expected table of an axis.
     Eeprom(Option<EepromAxis>, RawReply),
     /// Another expected reply.
@@ -98,7 +98,7 @@ pub(super) struct Bus {
     /// Messages in a row without a usable reply.
     pub misses: u32,
     /// The wire format of the received replies.
-    pub seen_format: Option<WireFormat>,
+    pub detected_format: Option<WireFormat>,
     last_sequence: u8,
 }
 
@@ -108,13 +108,13 @@ impl Bus {
         &mut self,
         config: &GatewayConfig,
         message: ControlMessage,
-        askers: Askers,
+        requesters: Requesters,
     ) -> Result<Frame, CodecError> {
         let packet = ControlPacket { sequence: config.modulus.reduce(self.counters.exchanges), message };
         let frame = arcnet::encode(Route::TO_CONTROLLER, &packet.encode(config.format)?)?;
         count(&mut self.counters.exchanges);
         self.last_sequence = packet.sequence;
-        self.outstanding = Some(Outstanding { packet, cycles: 0, askers });
+        self.outstanding = Some(Outstanding { packet, cycles: 0, requesters });
         Ok(frame)
     }
 
@@ -149,7 +149,7 @@ impl Bus {
             Ok(ReplyMessage::Eeprom(table)) => self.used(|_| Arrived::Eeprom(Some(table), raw)),
             Ok(ReplyMessage::Done(_)) => self.used(|_| Arrived::Done(raw)),
             Err(CodecError::OtherFormat { got, .. }) => {
-                self.seen_format = Some(got);
+                self.detected_format = Some(got);
                 count(&mut self.counters.mismatched);
                 Arrived::Unusable
             }
@@ -160,12 +160,12 @@ impl Bus {
     }
 
     fn sample(&mut self, config: &GatewayConfig, reply: &ArmReply, raw: RawReply) -> Arrived {
-        self.seen_format = Some(config.format);
+        self.detected_format = Some(config.format);
         if reply.axes.iter().any(|axis| axis.angle.0.unsigned_abs() > ANGLE_COUNTS_MAX) {
             count(&mut self.counters.mismatched);
             return Arrived::Unusable;
         }
-        self.used(|outstanding| Arrived::Sample(*reply, outstanding.askers, raw))
+        self.used(|outstanding| Arrived::Sample(*reply, outstanding.requesters, raw))
     }
 
     fn used(&mut self, arrived: impl FnOnce(Outstanding) -> Arrived) -> Arrived {

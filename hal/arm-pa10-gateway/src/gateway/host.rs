@@ -8,7 +8,7 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::{
 };
 use pb3dp_geometry::MonotonicTime;
 
-use super::bus::{Asker, count, micros};
+use super::bus::{Requester, count, micros};
 
 /// Answers that wait to be written. A frame of the host has at least 19 bytes, so 32 answers are enough for pieces of 600 bytes.
 const OUTBOX_MAX: usize = 32;
@@ -41,7 +41,7 @@ pub(super) struct Host {
     /// Time between two commands, as the host reported it.
     pub cycle: Duration,
     /// Time of the last decoded frame.
-    pub heard: MonotonicTime,
+    pub last_received: MonotonicTime,
     pub sequence: SequenceTracker,
     /// Frames that waited in a buffer for too long.
     pub waited: u64,
@@ -57,7 +57,7 @@ impl Host {
         Self {
             dialect: None,
             cycle: Duration::ZERO,
-            heard: MonotonicTime::ZERO,
+            last_received: MonotonicTime::ZERO,
             sequence: SequenceTracker::default(),
             waited: 0,
             answers_dropped: 0,
@@ -77,7 +77,7 @@ impl Host {
     pub fn greet(&mut self, now: MonotonicTime, frame: &Frame, dialect: Dialect, cycle: Duration) {
         self.dialect = Some(dialect);
         self.cycle = cycle;
-        self.heard = now;
+        self.last_received = now;
         self.sequence.restart();
         self.sequence.handle(frame.sequence);
         self.delay = DelayMeter::default();
@@ -96,7 +96,7 @@ impl Host {
             return Err(Refused(RejectReason::Stale, 0));
         }
         let message = HostMessage::decode(frame).map_err(|error| refusal_of(&error))?;
-        self.heard = now;
+        self.last_received = now;
         let drives = matches!(message, HostMessage::Command(_) | HostMessage::Raw(_));
         if drives && delay > delay_allowed {
             count(&mut self.waited);
@@ -106,14 +106,14 @@ impl Host {
     }
 
     /// Queues an answer with the sequence number of the frame that it answers.
-    pub fn answer(&mut self, now: MonotonicTime, asker: &Asker, message: GatewayMessage) {
-        self.put(Waiting { message, sequence: asker.sequence, since: now });
+    pub fn answer(&mut self, now: MonotonicTime, requester: &Requester, message: GatewayMessage) {
+        self.put(Waiting { message, sequence: requester.sequence, since: now });
     }
 
-    pub fn refuse(&mut self, now: MonotonicTime, asker: &Asker, refused: Refused) {
+    pub fn refuse(&mut self, now: MonotonicTime, requester: &Requester, refused: Refused) {
         let Refused(reason, detail) = refused;
-        let reject = Reject { reason, frame_type: asker.frame_type, detail };
-        self.answer(now, asker, GatewayMessage::Reject(reject));
+        let reject = Reject { reason, frame_type: requester.frame_type, detail };
+        self.answer(now, requester, GatewayMessage::Reject(reject));
     }
 
     pub fn report(&mut self, now: MonotonicTime, report: FaultReport) {

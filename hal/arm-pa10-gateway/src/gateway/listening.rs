@@ -24,22 +24,22 @@ impl Machine {
     /// E was not answered: the order starts again with the brakes, and waits there for an answer.
     pub fn listen(&mut self, now: MonotonicTime) {
         if let Some(job) = self.queued.take() {
-            self.host.refuse(now, &job.asker, Refused(RejectReason::NoAnswer, 0));
+            self.host.refuse(now, &job.requester, Refused(RejectReason::NoAnswer, 0));
         }
         if self.state == GatewayState::Stopping {
             // Hosts may connect, and are informed that no controller answers.
             self.state = GatewayState::Idle;
         }
         self.is_unasked = self.state == GatewayState::Idle;
-        self.seen_first = None;
+        self.detected_first = None;
         self.motion.doubt();
-        self.is_unheard = true;
+        self.stop_unacknowledged = true;
         self.work = Work::Stop(StopStep::Brake);
     }
 
     /// Whether the gateway only waits for an answer to the stop order.
     pub fn is_listening(&self) -> bool {
-        self.is_unheard && matches!(self.work, Work::Stop(StopStep::Brake))
+        self.stop_unacknowledged && matches!(self.work, Work::Stop(StopStep::Brake))
     }
 
     /// A request to a silent controller: sends E once, to test whether the controller answers.
@@ -51,52 +51,52 @@ impl Machine {
 
     /// Handles an answer to C.
     pub fn hear(&mut self, now: MonotonicTime) {
-        let was_heard = self.motion.is_heard();
-        self.motion.note_heard(now);
-        if was_heard || !self.motion.is_heard() {
+        let was_acknowledged = self.motion.is_acknowledged();
+        self.motion.note_acknowledged(now);
+        if was_acknowledged || !self.motion.is_acknowledged() {
             return;
         }
-        self.is_unheard = false;
+        self.stop_unacknowledged = false;
         match self.work {
-            Work::Close { .. } => self.begin_heard(now),
-            Work::Stop(StopStep::Brake) if self.state == GatewayState::Idle => self.begin_heard(now),
+            Work::Close { .. } => self.begin_acknowledged(now),
+            Work::Stop(StopStep::Brake) if self.state == GatewayState::Idle => self.begin_acknowledged(now),
             _ => {}
         }
     }
 
     /// Continues the order from the brakes on, as the controller now receives it.
-    fn begin_heard(&mut self, now: MonotonicTime) {
+    fn begin_acknowledged(&mut self, now: MonotonicTime) {
         if self.state == GatewayState::Idle {
             self.state = GatewayState::Stopping;
             self.is_unasked = true;
-            self.seen_first = None;
+            self.detected_first = None;
         }
         self.work = Work::Stop(StopStep::Brake);
         if let Some(job) = self.queued.take() {
-            self.host.refuse(now, &job.asker, wrong_state(self.state));
+            self.host.refuse(now, &job.requester, wrong_state(self.state));
         }
     }
 
     /// Handles an answer to the E that ends the control mode in the background.
     pub fn end_close(&mut self, now: MonotonicTime) {
-        let was_heard = self.motion.is_heard();
+        let was_acknowledged = self.motion.is_acknowledged();
         // This may be the first answer: then the brakes close from now on.
-        self.motion.note_heard(now);
-        self.is_unheard = false;
-        if was_heard || self.state == GatewayState::Idle {
+        self.motion.note_acknowledged(now);
+        self.stop_unacknowledged = false;
+        if was_acknowledged || self.state == GatewayState::Idle {
             self.is_unasked = false;
             self.work = self.queued.take().map_or(Work::Steady, Work::Job);
         } else {
-            self.begin_heard(now);
+            self.begin_acknowledged(now);
         }
     }
 
     /// Handles an answer to the E that ends the stop order.
     pub fn end_stop(&mut self, now: MonotonicTime) {
-        if self.is_unasked && self.motion.is_heard() {
+        if self.is_unasked && self.motion.is_acknowledged() {
             self.work = Work::Stop(StopStep::Check { left: CHECKS });
         } else {
-            self.motion.note_heard(now);
+            self.motion.note_acknowledged(now);
             self.finish_stop();
         }
     }
@@ -111,7 +111,7 @@ impl Machine {
             return;
         }
         let angles = reply.axes.map(|axis| axis.angle);
-        let first = *self.seen_first.get_or_insert(angles);
+        let first = *self.detected_first.get_or_insert(angles);
         let moved = angles.iter().zip(&first).any(|(angle, first)| angle.0.abs_diff(first.0) > ANGLE_AT_REST_MAX);
         let runs = |speed: pb3dp_arm_pa10_protocol::codec::SpeedCounts| speed.0.unsigned_abs() > SPEED_AT_REST_MAX;
         if moved || reply.axes.iter().any(|axis| axis.speed.is_some_and(runs)) {

@@ -7,7 +7,7 @@ use pb3dp_arm_pa10_protocol::codec::{AngleCounts, ArmCommand, ArmReply, Axis, Co
 use pb3dp_arm_pa10_protocol::gateway_protocol::{FaultReport, GatewayState, RejectReason, StopCause};
 use pb3dp_geometry::MonotonicTime;
 
-use super::bus::{Asker, Askers, Bus, Outstanding, count};
+use super::bus::{Bus, Outstanding, Requester, Requesters, count};
 use super::config::GatewayConfig;
 use super::host::{Host, Refused};
 use super::limits::{Exceeded, LimitMonitor};
@@ -44,7 +44,7 @@ pub(super) enum Work {
 /// A request of a host that waits for its answer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Job {
-    pub asker: Asker,
+    pub requester: Requester,
     pub task: Task,
 }
 
@@ -129,15 +129,15 @@ pub(super) struct Machine {
     /// No host requested the stop order: the gateway has just started, or a silent controller has answered again.
     pub is_unasked: bool,
     /// The brakes had their time to close in a stop order that the controller has not answered.
-    pub is_unheard: bool,
+    pub stop_unacknowledged: bool,
     /// The first measured angles in a stop order that no host requested.
-    pub seen_first: Option<[AngleCounts; Axis::COUNT]>,
+    pub detected_first: Option<[AngleCounts; Axis::COUNT]>,
     /// Waits until E is answered.
     pub queued: Option<Job>,
     /// A `start` that waits for the first measurement.
-    pub opening: Option<Asker>,
+    pub opening: Option<Requester>,
     /// RAW with C, until it is sent.
-    pub waiting: Askers,
+    pub waiting: Requesters,
     pub measured: Option<Measured>,
     /// Whether the watchdog slowed down the last cycle.
     pub slowed: bool,
@@ -167,11 +167,11 @@ impl Machine {
             limits: LimitMonitor::new(config.limits, config.watchdog.ramp_after(), config.cycle),
             work: Work::Stop(StopStep::Brake),
             is_unasked: true,
-            is_unheard: false,
-            seen_first: None,
+            stop_unacknowledged: false,
+            detected_first: None,
             queued: None,
             opening: None,
-            waiting: Askers::default(),
+            waiting: Requesters::default(),
             measured: None,
             slowed: false,
             cycles: CycleCounters::default(),
@@ -239,9 +239,9 @@ impl Machine {
     /// Refuses all requests that wait for an answer.
     pub fn cancel(&mut self, now: MonotonicTime, reason: Refused) {
         let job = if let Work::Job(job) = self.work { Some(job) } else { None };
-        let jobs = [job, self.queued.take()].into_iter().flatten().map(|job| job.asker);
-        for asker in jobs.chain(self.opening.take()).chain(self.waiting.take()) {
-            self.host.refuse(now, &asker, reason);
+        let jobs = [job, self.queued.take()].into_iter().flatten().map(|job| job.requester);
+        for requester in jobs.chain(self.opening.take()).chain(self.waiting.take()) {
+            self.host.refuse(now, &requester, reason);
         }
         if job.is_some() {
             // Its reply, if it still comes, is late.
@@ -256,7 +256,7 @@ impl Machine {
         // No speed lasts longer than the command that it belongs to.
         let expires = self.motion.since() + self.config.watchdog.stop_after();
         let first = match motion::kind(&from) {
-            _ if state_before == GatewayState::Idle && self.motion.is_heard() => StopStep::End { tries: 0 },
+            _ if state_before == GatewayState::Idle && self.motion.is_acknowledged() => StopStep::End { tries: 0 },
             Kind::Motion => StopStep::Ramp { from, since: now, until: expires.min(now + RAMP) },
             Kind::Rest => StopStep::Rest { left: REST_CYCLES },
             Kind::BrakesOn => StopStep::Brake,
@@ -293,7 +293,7 @@ impl Machine {
     /// Handles the time-outs of a silent host.
     pub fn check_host(&mut self, now: MonotonicTime) {
         match self.state {
-            GatewayState::Started if now.saturating_since(self.host.heard) >= STARTED_SILENCE => {
+            GatewayState::Started if now.saturating_since(self.host.last_received) >= STARTED_SILENCE => {
                 self.cancel(now, wrong_state(GatewayState::Idle));
                 self.host.forget();
                 self.end_started(now);
@@ -354,9 +354,9 @@ impl Machine {
         if outstanding.cycles < patience {
             return;
         }
-        let Some(Outstanding { mut askers, .. }) = self.bus.give_up() else { return };
-        for asker in askers.take() {
-            self.host.refuse(now, &asker, Refused(RejectReason::NoAnswer, 0));
+        let Some(Outstanding { mut requesters, .. }) = self.bus.give_up() else { return };
+        for requester in requesters.take() {
+            self.host.refuse(now, &requester, Refused(RejectReason::NoAnswer, 0));
         }
         match (self.purpose, self.work) {
             (Purpose::Cycle, Work::Stop(StopStep::Check { left: 0 })) => self.latch_found(now),
@@ -388,7 +388,7 @@ impl Machine {
             Task::End => self.trip(now, StopCause::ControllerSilent, None, 0),
             Task::Clear(_) | Task::Read(_) => {}
         }
-        self.host.refuse(now, &job.asker, Refused(RejectReason::NoAnswer, 0));
+        self.host.refuse(now, &job.requester, Refused(RejectReason::NoAnswer, 0));
     }
 
     /// The message that is due in this cycle.
@@ -434,11 +434,11 @@ impl Machine {
         };
         let step = match step {
             StopStep::Brake if self.motion.brakes_closed(now) => match self.state {
-                _ if self.motion.is_heard() => StopStep::Off,
+                _ if self.motion.is_acknowledged() => StopStep::Off,
                 // A controller outside its control mode may not answer C, but answers E.
                 GatewayState::Stopping if self.is_unasked => StopStep::End { tries: 0 },
                 _ => {
-                    self.is_unheard = true;
+                    self.stop_unacknowledged = true;
                     StopStep::Brake
                 }
             },
@@ -467,9 +467,9 @@ impl Machine {
     }
 
     fn send(&mut self, now: MonotonicTime, message: ControlMessage, purpose: Purpose) -> Option<Frame> {
-        let askers =
-            if matches!(self.work, Work::Steady) { std::mem::take(&mut self.waiting) } else { Askers::default() };
-        match self.bus.send(&self.config, message, askers) {
+        let requesters =
+            if matches!(self.work, Work::Steady) { std::mem::take(&mut self.waiting) } else { Requesters::default() };
+        match self.bus.send(&self.config, message, requesters) {
             Ok(frame) => {
                 if let ControlMessage::Cyclic(command) = &message {
                     self.motion.note_sent(now, command);

@@ -59,7 +59,7 @@ pub struct GatewayStatus {
     /// Dialect of the host that sent HELLO, if any.
     pub host: Option<Dialect>,
     /// The controller has not answered the stop order: the arm may move, and the gateway repeats the stop order.
-    pub is_unheard: bool,
+    pub stop_unacknowledged: bool,
     /// Counters of the cycle.
     pub cycle: CycleCounters,
     /// Counters of the bus.
@@ -156,7 +156,7 @@ impl Gateway {
             cause: *cause,
             found: *found,
             host: host.dialect,
-            is_unheard: self.machine.is_unheard,
+            stop_unacknowledged: self.machine.stop_unacknowledged,
             cycle: *cycles,
             bus: bus.counters,
             bytes: *self.parser.counters(),

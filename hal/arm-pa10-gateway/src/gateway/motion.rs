@@ -32,7 +32,7 @@ enum Brake {
     /// `since` is the time of the first command; after the first answer it is the time of that answer.
     Closed {
         since: MonotonicTime,
-        heard: bool,
+        acknowledged: bool,
     },
 }
 
@@ -121,7 +121,7 @@ impl Motion {
             *brake = match (is_open(axis), *brake) {
                 (true, Brake::OpenSince(since)) => Brake::OpenSince(since),
                 (true, _) => Brake::OpenSince(now),
-                (false, Brake::OpenSince(_)) => Brake::Closed { since: now, heard: false },
+                (false, Brake::OpenSince(_)) => Brake::Closed { since: now, acknowledged: false },
                 (false, closed @ Brake::Closed { .. }) => closed,
             };
         }
@@ -129,25 +129,25 @@ impl Motion {
     }
 
     /// The last message was answered: the controller has received its brake commands, now at the latest.
-    pub fn note_heard(&mut self, now: MonotonicTime) {
+    pub fn note_acknowledged(&mut self, now: MonotonicTime) {
         for brake in &mut self.brakes {
-            if let Brake::Closed { heard: false, .. } = brake {
-                *brake = Brake::Closed { since: now, heard: true };
+            if let Brake::Closed { acknowledged: false, .. } = brake {
+                *brake = Brake::Closed { since: now, acknowledged: true };
             }
         }
     }
 
     /// Whether the controller has received the command to close every brake.
-    pub fn is_heard(&self) -> bool {
-        self.brakes.iter().all(|brake| matches!(brake, Brake::Closed { heard: true, .. }))
+    pub fn is_acknowledged(&self) -> bool {
+        self.brakes.iter().all(|brake| matches!(brake, Brake::Closed { acknowledged: true, .. }))
     }
 
     /// It is unknown what the controller has received: all brakes on, servos on.
     pub fn doubt(&mut self) {
         self.sent.axes = [AxisCommand::Braked; Axis::COUNT];
         for brake in &mut self.brakes {
-            if let Brake::Closed { heard, .. } = brake {
-                *heard = false;
+            if let Brake::Closed { acknowledged, .. } = brake {
+                *acknowledged = false;
             }
         }
     }

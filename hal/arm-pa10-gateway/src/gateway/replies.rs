@@ -8,7 +8,7 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::{
 };
 use pb3dp_geometry::MonotonicTime;
 
-use super::bus::{Arrived, Asker, Askers, RawReply};
+use super::bus::{Arrived, RawReply, Requester, Requesters};
 use super::host::Refused;
 use super::machine::{Job, Machine, Measured, ResetStep, Task, Work};
 
@@ -29,36 +29,36 @@ impl Machine {
         match self.bus.handle_frame(&self.config, frame) {
             Arrived::Nothing => {}
             Arrived::Unusable => self.handle_unusable(now),
-            Arrived::Sample(reply, askers, raw) => self.handle_sample(now, &reply, askers, &raw),
+            Arrived::Sample(reply, requesters, raw) => self.handle_sample(now, &reply, requesters, &raw),
             Arrived::Eeprom(table, raw) => self.handle_eeprom(now, table.as_ref(), &raw),
             Arrived::Done(raw) => self.handle_done(now, &raw),
         }
     }
 
     fn handle_unusable(&mut self, now: MonotonicTime) {
-        if let Work::Job(Job { asker, task: Task::Reset(_) }) = self.work {
+        if let Work::Job(Job { requester, task: Task::Reset(_) }) = self.work {
             self.bus.outstanding = None;
-            self.go_on(asker, ResetStep::End { found: StopCause::ReplyUnusable });
+            self.go_on(requester, ResetStep::End { found: StopCause::ReplyUnusable });
         }
         self.trip(now, StopCause::ReplyUnusable, None, 0);
     }
 
-    fn handle_sample(&mut self, now: MonotonicTime, reply: &ArmReply, mut askers: Askers, raw: &RawReply) {
+    fn handle_sample(&mut self, now: MonotonicTime, reply: &ArmReply, mut requesters: Requesters, raw: &RawReply) {
         self.measured = Some(Measured { reply: *reply, at: now });
         self.hear(now);
         self.note_found(now, reply);
         let condition = Sample::from_reply(reply, &self.config.torque_scale).condition;
         let found = self.judge(&condition);
-        if let Work::Job(Job { asker, task: Task::Reset(ResetStep::Look) }) = self.work {
+        if let Work::Job(Job { requester, task: Task::Reset(ResetStep::Look) }) = self.work {
             let found = found.map_or(StopCause::None, |found| found.cause);
-            self.go_on(asker, ResetStep::End { found });
+            self.go_on(requester, ResetStep::End { found });
             return;
         }
-        for asker in askers.take() {
-            self.answer_raw(now, &asker, Letter::Cyclic, raw);
+        for requester in requesters.take() {
+            self.answer_raw(now, &requester, Letter::Cyclic, raw);
         }
-        if let Some(asker) = self.opening.take() {
-            self.answer_control(now, &asker, Control::Arm(ArmOperation::Start));
+        if let Some(requester) = self.opening.take() {
+            self.answer_control(now, &requester, Control::Arm(ArmOperation::Start));
         }
         if let Some(Found { cause, axis, word }) = found {
             self.trip(now, cause, axis, word);
@@ -71,10 +71,10 @@ impl Machine {
     }
 
     fn handle_eeprom(&mut self, now: MonotonicTime, table: Option<&EepromAxis>, raw: &RawReply) {
-        let Work::Job(Job { asker, task: Task::Read(_) }) = self.work else { return };
+        let Work::Job(Job { requester, task: Task::Read(_) }) = self.work else { return };
         self.work = Work::Steady;
-        if asker.is_raw {
-            self.answer_raw(now, &asker, Letter::ReadEeprom, raw);
+        if requester.is_raw {
+            self.answer_raw(now, &requester, Letter::ReadEeprom, raw);
         } else if let Some(table) = table {
             let urad = |rad: f64| (rad * MICRO).round() as i32;
             let limits = EepromLimits {
@@ -83,9 +83,9 @@ impl Machine {
                 positive_limit_urad: urad(table.positive_limit.to_rad()),
                 negative_limit_urad: urad(table.negative_limit.to_rad()),
             };
-            self.host.answer(now, &asker, GatewayMessage::EepromLimits(limits));
+            self.host.answer(now, &requester, GatewayMessage::EepromLimits(limits));
         } else {
-            self.host.refuse(now, &asker, Refused(RejectReason::NoAnswer, 0));
+            self.host.refuse(now, &requester, Refused(RejectReason::NoAnswer, 0));
         }
     }
 
@@ -100,7 +100,7 @@ impl Machine {
     }
 
     fn advance(&mut self, now: MonotonicTime, job: &Job, raw: &RawReply) {
-        let asker = job.asker;
+        let requester = job.requester;
         let (letter, control) = match job.task {
             Task::Start => {
                 self.state = GatewayState::Started;
@@ -108,10 +108,10 @@ impl Machine {
                 self.measured = None;
                 self.motion.restart(now, self.config.supervision);
                 self.limits.restart(now);
-                if asker.is_raw {
-                    self.answer_raw(now, &asker, Letter::Start, raw);
+                if requester.is_raw {
+                    self.answer_raw(now, &requester, Letter::Start, raw);
                 } else {
-                    self.opening = Some(asker);
+                    self.opening = Some(requester);
                 }
                 return;
             }
@@ -122,7 +122,7 @@ impl Machine {
             Task::Clear(axis) => (Letter::ClearAlarm, Control::ClearAlarm(axis)),
             // The reply to R is not a bare letter.
             Task::Read(_) => return,
-            Task::Reset(ResetStep::Start | ResetStep::Look) => return self.go_on(asker, ResetStep::Look),
+            Task::Reset(ResetStep::Start | ResetStep::Look) => return self.go_on(requester, ResetStep::Look),
             Task::Reset(ResetStep::End { found: StopCause::None }) => {
                 (self.state, self.cause, self.found) = (GatewayState::Idle, StopCause::None, None);
                 (Letter::End, Control::Arm(ArmOperation::Reset))
@@ -130,34 +130,34 @@ impl Machine {
             Task::Reset(ResetStep::End { found }) => {
                 self.work = Work::Steady;
                 let present = Refused(RejectReason::CausePresent, u32::from(found.code()));
-                return self.host.refuse(now, &asker, present);
+                return self.host.refuse(now, &requester, present);
             }
         };
         self.work = Work::Steady;
-        if asker.is_raw {
-            self.answer_raw(now, &asker, letter, raw);
+        if requester.is_raw {
+            self.answer_raw(now, &requester, letter, raw);
         } else {
-            self.answer_control(now, &asker, control);
+            self.answer_control(now, &requester, control);
         }
     }
 
-    fn go_on(&mut self, asker: Asker, step: ResetStep) {
-        self.work = Work::Job(Job { asker, task: Task::Reset(step) });
+    fn go_on(&mut self, requester: Requester, step: ResetStep) {
+        self.work = Work::Job(Job { requester, task: Task::Reset(step) });
     }
 
-    pub fn answer_control(&mut self, now: MonotonicTime, asker: &Asker, control: Control) {
+    pub fn answer_control(&mut self, now: MonotonicTime, requester: &Requester, control: Control) {
         let reply = ControlReply { control, state: self.state };
-        self.host.answer(now, asker, GatewayMessage::ControlReply(reply));
+        self.host.answer(now, requester, GatewayMessage::ControlReply(reply));
     }
 
-    pub fn answer_raw(&mut self, now: MonotonicTime, asker: &Asker, letter: Letter, data: &[u8]) {
+    pub fn answer_raw(&mut self, now: MonotonicTime, requester: &Requester, letter: Letter, data: &[u8]) {
         match ByteBuffer::from_slice(data) {
             Some(data) => {
                 let reply = RawMessage { letter: letter.byte(), data };
-                self.host.answer(now, asker, GatewayMessage::RawReply(reply));
+                self.host.answer(now, requester, GatewayMessage::RawReply(reply));
             }
             // Longer than any known reply, and longer than a frame can carry.
-            None => self.host.refuse(now, asker, Refused(RejectReason::NoAnswer, 0)),
+            None => self.host.refuse(now, requester, Refused(RejectReason::NoAnswer, 0)),
         }
     }
 

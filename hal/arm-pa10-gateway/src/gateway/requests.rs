@@ -9,7 +9,7 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::{
 };
 use pb3dp_geometry::MonotonicTime;
 
-use super::bus::Asker;
+use super::bus::Requester;
 use super::host::{Refused, is_in_both_dialects, refusal_of};
 use super::machine::{Job, Machine, ResetStep, StopStep, Task, Work, wrong_state};
 use super::motion::{self, Kind};
@@ -19,7 +19,7 @@ impl Machine {
     /// Handles a valid frame of another arm.
     pub fn handle_other_arm(&mut self, now: MonotonicTime, frame: &Frame) {
         let refused = Refused(RejectReason::WrongArm, u32::from(frame.arm.0));
-        self.host.refuse(now, &asker(frame), refused);
+        self.host.refuse(now, &requester(frame), refused);
     }
 
     /// Handles a valid frame of this arm: it gets exactly one answer, now or later.
@@ -27,17 +27,17 @@ impl Machine {
         // Time-outs are handled first: a new command must not hide them.
         self.check_host(now);
         self.check_switch(now);
-        let asker = asker(frame);
+        let requester = requester(frame);
         let refused = if frame.frame_type == HELLO {
-            self.handle_hello(now, frame, &asker).err()
+            self.handle_hello(now, frame, &requester).err()
         } else if self.host.dialect.is_none() {
             Some(Refused(RejectReason::NotConnected, 0))
         } else {
             let message = self.host.judge(now, frame, self.config.watchdog.ramp_after());
-            message.and_then(|message| self.handle_message(now, &message, &asker)).err()
+            message.and_then(|message| self.handle_message(now, &message, &requester)).err()
         };
         if let Some(refused) = refused {
-            self.host.refuse(now, &asker, refused);
+            self.host.refuse(now, &requester, refused);
         }
     }
 
@@ -79,7 +79,7 @@ impl Machine {
             }
             _ => {
                 if let Some(job) = self.queued.take() {
-                    self.host.refuse(now, &job.asker, wrong_state(state));
+                    self.host.refuse(now, &job.requester, wrong_state(state));
                 }
             }
         }
@@ -94,7 +94,7 @@ impl Machine {
         }
     }
 
-    fn handle_hello(&mut self, now: MonotonicTime, frame: &Frame, asker: &Asker) -> Result<(), Refused> {
+    fn handle_hello(&mut self, now: MonotonicTime, frame: &Frame, requester: &Requester) -> Result<(), Refused> {
         let message = HostMessage::decode(frame).map_err(|error| refusal_of(&error))?;
         let HostMessage::Hello(Hello { dialect, cycle_us, limits }) = message else {
             return Err(Refused(RejectReason::UnknownType, 0));
@@ -110,11 +110,16 @@ impl Machine {
         self.limits.tighten(&self.config.limits, &limits);
         self.host.greet(now, frame, dialect, Duration::from_micros(u64::from(cycle_us)));
         let reply = self.hello_reply(dialect);
-        self.host.answer(now, asker, GatewayMessage::HelloReply(reply));
+        self.host.answer(now, requester, GatewayMessage::HelloReply(reply));
         Ok(())
     }
 
-    fn handle_message(&mut self, now: MonotonicTime, message: &HostMessage, asker: &Asker) -> Result<(), Refused> {
+    fn handle_message(
+        &mut self,
+        now: MonotonicTime,
+        message: &HostMessage,
+        requester: &Requester,
+    ) -> Result<(), Refused> {
         let dialect = self.host.dialect.unwrap_or(Dialect::GatewayV1);
         let only = |wanted: Dialect| {
             let other = Refused(RejectReason::WrongDialect, u32::from(dialect.code()));
@@ -125,27 +130,32 @@ impl Machine {
             HostMessage::Hello(_) => Err(Refused(RejectReason::UnknownType, 0)),
             HostMessage::Heartbeat => {
                 let health = self.health();
-                self.host.answer(now, asker, GatewayMessage::Health(health));
+                self.host.answer(now, requester, GatewayMessage::Health(health));
                 Ok(())
             }
             HostMessage::Command(command) => {
                 only(Dialect::GatewayV1)?;
-                self.handle_command(now, command, asker)
+                self.handle_command(now, command, requester)
             }
             HostMessage::Control(control) => {
                 if !is_in_both_dialects(control.operation()) {
                     only(Dialect::GatewayV1)?;
                 }
-                self.handle_control(now, *control, asker)
+                self.handle_control(now, *control, requester)
             }
             HostMessage::Raw(raw) => {
                 only(Dialect::Transparent)?;
-                self.handle_raw(now, raw, &Asker { is_raw: true, ..*asker })
+                self.handle_raw(now, raw, &Requester { is_raw: true, ..*requester })
             }
         }
     }
 
-    fn handle_command(&mut self, now: MonotonicTime, command: &DriveCommand, asker: &Asker) -> Result<(), Refused> {
+    fn handle_command(
+        &mut self,
+        now: MonotonicTime,
+        command: &DriveCommand,
+        requester: &Requester,
+    ) -> Result<(), Refused> {
         let supervision = self.config.supervision;
         let asked = match command.mode {
             DriveMode::Off => ArmCommand::uniform(AxisCommand::Off, supervision),
@@ -164,7 +174,7 @@ impl Machine {
             }
             self.state = next;
         }
-        self.host.answer(now, asker, GatewayMessage::State(State { gateway: self.state, ..state }));
+        self.host.answer(now, requester, GatewayMessage::State(State { gateway: self.state, ..state }));
         Ok(())
     }
 
@@ -204,28 +214,28 @@ impl Machine {
         false
     }
 
-    fn handle_control(&mut self, now: MonotonicTime, control: Control, asker: &Asker) -> Result<(), Refused> {
+    fn handle_control(&mut self, now: MonotonicTime, control: Control, requester: &Requester) -> Result<(), Refused> {
         match control {
             Control::Arm(ArmOperation::Stop) => {
                 self.stop(now);
-                self.answer_control(now, asker, control);
+                self.answer_control(now, requester, control);
                 Ok(())
             }
             Control::Arm(ArmOperation::Abort) => {
                 self.abort(now);
-                self.answer_control(now, asker, control);
+                self.answer_control(now, requester, control);
                 Ok(())
             }
-            Control::Arm(ArmOperation::Start) => self.request(now, HostRequest::Start, Task::Start, asker, control),
-            Control::Arm(ArmOperation::End) => self.request(now, HostRequest::End, Task::End, asker, control),
+            Control::Arm(ArmOperation::Start) => self.request(now, HostRequest::Start, Task::Start, requester, control),
+            Control::Arm(ArmOperation::End) => self.request(now, HostRequest::End, Task::End, requester, control),
             Control::Arm(ArmOperation::Reset) if self.is_local => {
                 Err(Refused(RejectReason::CausePresent, u32::from(StopCause::LocalControl.code())))
             }
             Control::Arm(ArmOperation::Reset) => {
-                self.request(now, HostRequest::Reset, Task::Reset(ResetStep::Start), asker, control)
+                self.request(now, HostRequest::Reset, Task::Reset(ResetStep::Start), requester, control)
             }
-            Control::ClearAlarm(axis) => self.request(now, HostRequest::Service, Task::Clear(axis), asker, control),
-            Control::ReadEeprom(axis) => self.request(now, HostRequest::Service, Task::Read(axis), asker, control),
+            Control::ClearAlarm(axis) => self.request(now, HostRequest::Service, Task::Clear(axis), requester, control),
+            Control::ReadEeprom(axis) => self.request(now, HostRequest::Service, Task::Read(axis), requester, control),
         }
     }
 
@@ -235,21 +245,21 @@ impl Machine {
         now: MonotonicTime,
         request: HostRequest,
         task: Task,
-        asker: &Asker,
+        requester: &Requester,
         control: Control,
     ) -> Result<(), Refused> {
         match action(self.state, request) {
             _ if self.is_busy() => Err(wrong_state(self.state)),
-            GatewayAction::Nothing if asker.is_raw => {
+            GatewayAction::Nothing if requester.is_raw => {
                 let letter = if request == HostRequest::Start { Letter::Start } else { Letter::End };
-                self.answer_raw(now, asker, letter, &[]);
+                self.answer_raw(now, requester, letter, &[]);
                 Ok(())
             }
             GatewayAction::Nothing => {
-                self.answer_control(now, asker, control);
+                self.answer_control(now, requester, control);
                 Ok(())
             }
-            GatewayAction::Speak => self.begin(now, Job { asker: *asker, task }),
+            GatewayAction::Speak => self.begin(now, Job { requester: *requester, task }),
             _ => Err(wrong_state(self.state)),
         }
     }
@@ -271,21 +281,21 @@ impl Machine {
         Ok(())
     }
 
-    fn handle_raw(&mut self, now: MonotonicTime, raw: &RawMessage, asker: &Asker) -> Result<(), Refused> {
+    fn handle_raw(&mut self, now: MonotonicTime, raw: &RawMessage, requester: &Requester) -> Result<(), Refused> {
         let forbidden = Refused(RejectReason::ForbiddenLetter, u32::from(raw.letter));
         let letter = Letter::from_byte(raw.letter).map_err(|_| forbidden)?;
         let message = ControlMessage::decode_data(self.config.format, letter, &raw.data).map_err(refusal_of_data)?;
         let arm = |operation| Control::Arm(operation);
         match message {
             ControlMessage::Start => {
-                self.request(now, HostRequest::Start, Task::Start, asker, arm(ArmOperation::Start))
+                self.request(now, HostRequest::Start, Task::Start, requester, arm(ArmOperation::Start))
             }
-            ControlMessage::End => self.request(now, HostRequest::End, Task::End, asker, arm(ArmOperation::End)),
+            ControlMessage::End => self.request(now, HostRequest::End, Task::End, requester, arm(ArmOperation::End)),
             ControlMessage::ClearAlarm(axis) => {
-                self.request(now, HostRequest::Service, Task::Clear(axis), asker, Control::ClearAlarm(axis))
+                self.request(now, HostRequest::Service, Task::Clear(axis), requester, Control::ClearAlarm(axis))
             }
             ControlMessage::ReadEeprom(axis) => {
-                self.request(now, HostRequest::Service, Task::Read(axis), asker, Control::ReadEeprom(axis))
+                self.request(now, HostRequest::Service, Task::Read(axis), requester, Control::ReadEeprom(axis))
             }
             ControlMessage::Cyclic(command) => {
                 let next = self.judge_command(now, &command)?.ok_or(wrong_state(self.state))?;
@@ -298,7 +308,7 @@ impl Machine {
                     self.motion.follow(now, command, Duration::ZERO);
                 }
                 self.state = next;
-                if let Some(oldest) = self.waiting.push(*asker) {
+                if let Some(oldest) = self.waiting.push(*requester) {
                     self.host.refuse(now, &oldest, Refused(RejectReason::NoAnswer, 0));
                 }
                 Ok(())
@@ -325,7 +335,7 @@ impl Machine {
             // It has no inputs.
             wired: WiredSignals::default(),
             dialect,
-            wire_format: self.bus.seen_format,
+            wire_format: self.bus.detected_format,
             geometry: config.geometry,
             state: self.state,
             cause: self.cause,
@@ -358,8 +368,8 @@ impl Machine {
     }
 }
 
-fn asker(frame: &Frame) -> Asker {
-    Asker { sequence: frame.sequence, frame_type: frame.frame_type, is_raw: false }
+fn requester(frame: &Frame) -> Requester {
+    Requester { sequence: frame.sequence, frame_type: frame.frame_type, is_raw: false }
 }
 
 /// Why the data of a letter are refused: the length includes the letter.

@@ -36,7 +36,7 @@ const ACCEPTED_MAX: usize = 64;
 const PAUSE: Duration = Duration::from_millis(50);
 
 /// Shortest time between two messages about refused connections.
-const TOLD_EVERY: Duration = Duration::from_secs(1);
+const REPORTED_EVERY: Duration = Duration::from_secs(1);
 
 /// First byte of a connection with TLS: the content type of its first record (RFC 8446, section 5.1).
 const TLS_HANDSHAKE: u8 = 22;
@@ -116,7 +116,7 @@ type Line = Box<dyn ByteLink>;
 
 enum Stage {
     Tls(Box<TlsLink<TcpLink>>),
-    Knock(Line),
+    ClientNonce(Line),
     Proof(Line, Box<Agreement>),
     Hello(Box<KeyedLink<Line>>),
     Gone,
@@ -238,7 +238,7 @@ impl Admission {
             0 => String::new(),
             count => format!(" (and {count} more since the last message)"),
         };
-        self.log.again = now + TOLD_EVERY;
+        self.log.again = now + REPORTED_EVERY;
         tell(format!("a connection from {peer} was turned away: {why}{more}"));
     }
 }
@@ -262,7 +262,7 @@ impl Opening {
     fn fd(&self) -> Option<BorrowedFd<'_>> {
         match &self.stage {
             Stage::Tls(link) => link.fd(),
-            Stage::Knock(link) | Stage::Proof(link, _) => link.fd(),
+            Stage::ClientNonce(link) | Stage::Proof(link, _) => link.fd(),
             Stage::Hello(link) => link.fd(),
             Stage::Gone => None,
         }
@@ -272,7 +272,7 @@ impl Opening {
         match &mut self.stage {
             // Refusals before the handshake are for a host without TLS.
             Stage::Tls(link) => Some(link.line()),
-            Stage::Knock(link) | Stage::Proof(link, _) => Some(link),
+            Stage::ClientNonce(link) | Stage::Proof(link, _) => Some(link),
             Stage::Hello(link) => Some(link.as_mut()),
             Stage::Gone => None,
         }
@@ -296,7 +296,7 @@ impl Opening {
                 return Outcome::Refused("it wants another arm");
             }
             self.stage = match std::mem::replace(&mut self.stage, Stage::Gone) {
-                Stage::Knock(link) => match challenge(link, &frame, arm, key) {
+                Stage::ClientNonce(link) => match challenge(link, &frame, arm, key) {
                     Ok(next) => next,
                     Err(why) => return Outcome::Refused(why),
                 },
@@ -338,7 +338,7 @@ impl Opening {
             Err(HandshakeError::Gone(_)) => return Err("it closed the connection during the TLS handshake"),
         }
         if let Stage::Tls(link) = std::mem::replace(&mut self.stage, Stage::Gone) {
-            self.stage = Stage::Knock(link);
+            self.stage = Stage::ClientNonce(link);
         }
         Ok(true)
     }
@@ -373,7 +373,7 @@ impl Opening {
         match self.stage {
             Stage::Proof(..) => "it closed the connection instead of proving the key: most likely it has another key",
             Stage::Hello(_) => "it closed the connection, or sent a record that is not authentic",
-            Stage::Tls(_) | Stage::Knock(_) | Stage::Gone => "it closed the connection without a frame",
+            Stage::Tls(_) | Stage::ClientNonce(_) | Stage::Gone => "it closed the connection without a frame",
         }
     }
 
@@ -390,13 +390,13 @@ fn begin(stream: TcpStream, tls: Option<&GatewayIdentity>) -> Option<Stage> {
     let link = TcpLink::from_stream(stream).ok()?;
     Some(match tls {
         Some(identity) => Stage::Tls(Box::new(identity.accept(link).ok()?)),
-        None => Stage::Knock(Box::new(link)),
+        None => Stage::ClientNonce(Box::new(link)),
     })
 }
 
-/// Answers a knock with the nonce and the proof of the gateway.
+/// Answers the client's nonce with the nonce and the proof of the gateway.
 fn challenge(mut link: Line, frame: &Frame, arm: ArmId, key: &SharedKey) -> Result<Stage, &'static str> {
-    let Ok(Handshake::Knock(host)) = Handshake::decode(frame) else {
+    let Ok(Handshake::ClientNonce(host)) = Handshake::decode(frame) else {
         let _ = link.try_write(&refusal(arm, RejectReason::KeyMismatch));
         return Err("it does not prove a key");
     };

@@ -16,8 +16,8 @@ use pb3dp_hal_platform::transport::{ByteLink, Symptom, Unplugged};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use super::Shared;
-use super::door::Lines;
 use super::events::{EventQueue, Happened};
+use super::listener::Lines;
 use crate::gateway::{Gateway, GatewayStatus};
 
 /// The last part of a cycle is spent in a precise sleep: `poll` returns a little late.
@@ -53,11 +53,11 @@ struct HostLine {
 
 /// The last reported status, to detect changes.
 #[derive(Clone, Copy)]
-struct Seen {
+struct Logged {
     state: GatewayState,
     dialect: Option<Dialect>,
     overruns: u64,
-    is_unheard: bool,
+    stop_unacknowledged: bool,
 }
 
 /// The core with its lines.
@@ -68,7 +68,7 @@ pub(super) struct Cycle {
     shared: Arc<Shared>,
     lines: Lines,
     queue: EventQueue,
-    seen: Seen,
+    logged: Logged,
     /// Deadline of the final stop order.
     ends: Option<MonotonicTime>,
     brake_time: Duration,
@@ -77,8 +77,8 @@ pub(super) struct Cycle {
 impl Cycle {
     pub fn new(core: Gateway, bus: Box<dyn BusPort>, shared: Arc<Shared>, lines: Lines, queue: EventQueue) -> Self {
         let brake_time = core.config().brake_time;
-        let seen = Seen { state: core.status().state, dialect: None, overruns: 0, is_unheard: false };
-        Self { core, bus: Some(bus), host: None, shared, lines, queue, seen, ends: None, brake_time }
+        let logged = Logged { state: core.status().state, dialect: None, overruns: 0, stop_unacknowledged: false };
+        Self { core, bus: Some(bus), host: None, shared, lines, queue, logged, ends: None, brake_time }
     }
 
     /// Runs until the end is requested and the arm is stopped. Returns the final status, or `None` after a panic.
@@ -174,7 +174,7 @@ impl Cycle {
                     // Only sound frames are a sign of life: a peer that sends other bytes must not keep others out.
                     let sound = self.core.status().bytes.frames - frames;
                     if sound > 0 {
-                        self.shared.heard.store(at.as_nanos(), Ordering::SeqCst);
+                        self.shared.last_received_nanos.store(at.as_nanos(), Ordering::SeqCst);
                     }
                     if host.floods(at, sound) {
                         return self.lose_host(Unplugged { symptom: Symptom::Flood });
@@ -201,8 +201,8 @@ impl Cycle {
 
     fn note_lateness(&mut self, at: MonotonicTime, due: MonotonicTime) {
         let overruns = self.core.status().cycle.overruns;
-        if overruns != self.seen.overruns {
-            self.seen.overruns = overruns;
+        if overruns != self.logged.overruns {
+            self.logged.overruns = overruns;
             self.queue.tell(at, Happened::Overrun { late: at.saturating_since(due) });
         }
     }
@@ -215,18 +215,19 @@ impl Cycle {
     }
 
     fn note_changes(&mut self) {
-        let GatewayStatus { state, cause, found, host, is_unheard, .. } = self.core.status();
+        let GatewayStatus { state, cause, found, host, stop_unacknowledged, .. } = self.core.status();
         let at = now();
-        if state != self.seen.state {
-            self.queue.tell(at, Happened::State { from: self.seen.state, to: state, cause, found });
+        if state != self.logged.state {
+            self.queue.tell(at, Happened::State { from: self.logged.state, to: state, cause, found });
         }
-        if let (Some(dialect), true) = (host, host != self.seen.dialect) {
+        if let (Some(dialect), true) = (host, host != self.logged.dialect) {
             self.queue.tell(at, Happened::HostGreeted(dialect));
         }
-        if is_unheard != self.seen.is_unheard {
-            self.queue.tell(at, if is_unheard { Happened::Unheard } else { Happened::Heard });
+        if stop_unacknowledged != self.logged.stop_unacknowledged {
+            self.queue
+                .tell(at, if stop_unacknowledged { Happened::StopUnacknowledged } else { Happened::StopAcknowledged });
         }
-        (self.seen.state, self.seen.dialect, self.seen.is_unheard) = (state, host, is_unheard);
+        (self.logged.state, self.logged.dialect, self.logged.stop_unacknowledged) = (state, host, stop_unacknowledged);
     }
 
     /// Takes the lines that the connection thread has opened.

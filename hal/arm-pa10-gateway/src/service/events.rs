@@ -36,9 +36,9 @@ pub enum Happened {
         found: Option<FaultReport>,
     },
     /// The controller does not answer the stop order, which is repeated.
-    Unheard,
+    StopUnacknowledged,
     /// The controller has answered the stop order.
-    Heard,
+    StopAcknowledged,
     /// A line to a host is open.
     HostConnected,
     /// A host sent HELLO.

@@ -6,8 +6,8 @@
 
 mod admission;
 mod cycle;
-mod door;
 mod events;
+mod listener;
 
 use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
@@ -17,8 +17,8 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use cycle::Cycle;
-use door::{Door, Lines};
 use events::EventQueue;
+use listener::{Lines, Listener};
 use pb3dp_arm_pa10::bus::BusPort;
 use pb3dp_arm_pa10_protocol::gateway_protocol::ArmId;
 use pb3dp_hal_platform::realtime::{self, Realtime, Shortfall};
@@ -85,7 +85,7 @@ struct Shared {
     /// The bus has to be opened again.
     wants_bus: AtomicBool,
     /// Time of the last sound frame from the host, ns.
-    heard: AtomicU64,
+    last_received_nanos: AtomicU64,
     /// Wakes the cycle thread.
     waker: OwnedFd,
 }
@@ -95,7 +95,7 @@ struct Shared {
 pub struct GatewayServer {
     shared: Arc<Shared>,
     cycle: Option<JoinHandle<Option<GatewayStatus>>>,
-    door: Option<JoinHandle<()>>,
+    listener: Option<JoinHandle<()>>,
     events: Receiver<GatewayEvent>,
     door_messages: Receiver<String>,
     dropped: Arc<AtomicU64>,
@@ -162,14 +162,14 @@ impl GatewayServer {
             has_host: AtomicBool::new(false),
             is_local: AtomicBool::new(false),
             wants_bus: AtomicBool::new(false),
-            heard: AtomicU64::new(0),
+            last_received_nanos: AtomicU64::new(0),
             waker: eventfd(0, EventfdFlags::NONBLOCK | EventfdFlags::CLOEXEC).map_err(std::io::Error::from)?,
         });
         let (queue, events) = EventQueue::new();
         let dropped = queue.dropped();
         let (lines, ends) = Lines::pairs();
         let (tell, door_messages) = sync_channel(64);
-        let door = Door { shared: Arc::clone(&shared), lines: ends, tell, bus, host };
+        let listener = Listener { shared: Arc::clone(&shared), lines: ends, tell, bus, host };
         let (ready, is_ready) = sync_channel(1);
         let (for_cycle, wanted) = (Arc::clone(&shared), config.realtime);
         let cycle = std::thread::Builder::new().name("gateway-cycle".into()).spawn(move || {
@@ -179,11 +179,11 @@ impl GatewayServer {
             let core = Gateway::new(config.gateway, realtime::now()).unwrap_or(core);
             Cycle::new(core, port, for_cycle, lines, queue).run()
         })?;
-        let door = std::thread::Builder::new().name("gateway-door".into()).spawn(move || door.run())?;
+        let listener = std::thread::Builder::new().name("gateway-door".into()).spawn(move || listener.run())?;
         // No answer comes only if the thread has ended, which `end` reports.
         let shortfalls = is_ready.recv_timeout(Duration::from_secs(5)).unwrap_or_default();
-        let (cycle, door) = (Some(cycle), Some(door));
-        Ok(Self { shared, cycle, door, events, door_messages, dropped, shortfalls, name_of_bus })
+        let (cycle, listener) = (Some(cycle), Some(listener));
+        Ok(Self { shared, cycle, listener, events, door_messages, dropped, shortfalls, name_of_bus })
     }
 
     /// Requested resources that the cycle thread did not get.
@@ -246,8 +246,8 @@ impl GatewayServer {
     fn finish(&mut self) -> Option<GatewayStatus> {
         self.ask_to_end();
         let status = self.cycle.take()?.join().ok().flatten();
-        if let Some(door) = self.door.take() {
-            let _ = door.join();
+        if let Some(listener) = self.listener.take() {
+            let _ = listener.join();
         }
         status
     }

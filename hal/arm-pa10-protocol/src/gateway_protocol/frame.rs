@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn a_header_of_another_version_is_told_from_damage() {
+    fn a_header_of_another_version_is_distinguished_from_damage() {
         let frame = Frame {
             arm: ArmId(2),
             frame_type: 4,

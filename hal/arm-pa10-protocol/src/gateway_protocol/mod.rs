@@ -33,8 +33,8 @@ pub use line::{LineTooSlow, check_line, exchange_bytes, exchange_time};
 pub use parser::{FrameParser, ParserCounters, Received};
 pub use sequence::{Arrival, SequenceTracker};
 pub use session::{
-    Agreement, CHALLENGE, Handshake, KEY_BYTES_MIN, KNOCK, KeyTooShort, MAC_BYTES, NONCE_BYTES, Nonce, NotAuthentic,
-    Opener, PROOF, Proof, RECORD_BYTES_MAX, RecordBytes, Sealer, SharedKey, Side,
+    Agreement, CHALLENGE, CLIENT_NONCE, Handshake, KEY_BYTES_MIN, KeyTooShort, MAC_BYTES, NONCE_BYTES, Nonce,
+    NotAuthentic, Opener, PROOF, Proof, RECORD_BYTES_MAX, RecordBytes, Sealer, SharedKey, Side,
 };
 pub use state::{AxisState, State};
 
@@ -49,7 +49,7 @@ pub const BRAKE_TIME_MAX: Duration = Duration::from_secs(5);
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum MessageError {
     /// The type is none of this direction.
-    #[error("frame type 0x{got:02x} is none that is sent in this direction; compare the versions of host and gateway")]
+    #[error("frame type 0x{got:02x} is not valid in this direction; compare the versions of host and gateway")]
     Type {
         /// The type byte.
         got: u8,

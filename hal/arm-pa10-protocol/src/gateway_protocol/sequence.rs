@@ -58,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn gaps_and_repetitions_are_told_apart_through_the_wrap() {
+    fn gaps_and_repetitions_are_distinguished_through_the_wrap() {
         let mut tracker = SequenceTracker::default();
         let arrivals = [65533, 65534, 65534, 1, 0, 2, 65533].map(|sequence| tracker.handle(sequence));
         let fresh = |lost| Arrival::Fresh { lost };

@@ -10,8 +10,8 @@ use super::frame::{FRAME_BYTES_MAX, OVERHEAD};
 use super::{ArmId, Frame, MessageError, Payload};
 use crate::codec::ByteBuffer;
 
-/// The type of KNOCK, which comes first on a line that needs a key.
-pub const KNOCK: u8 = 0x10;
+/// The type of CLIENT-NONCE, which comes first on a line that needs a key.
+pub const CLIENT_NONCE: u8 = 0x10;
 /// The type of PROOF.
 pub const PROOF: u8 = 0x11;
 /// The type of CHALLENGE.
@@ -164,7 +164,7 @@ impl Side {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Handshake {
     /// The host opens the connection.
-    Knock(Nonce),
+    ClientNonce(Nonce),
     /// The gateway answers with its nonce and its proof.
     Challenge(Nonce, Proof),
     /// The proof of the host. What follows are records.
@@ -176,9 +176,9 @@ impl Handshake {
     pub fn frame(&self, arm: ArmId) -> Frame {
         let mut payload = Payload::EMPTY;
         let frame_type = match self {
-            Self::Knock(nonce) => {
+            Self::ClientNonce(nonce) => {
                 payload.extend(nonce);
-                KNOCK
+                CLIENT_NONCE
             }
             Self::Challenge(nonce, proof) => {
                 payload.extend(nonce);
@@ -201,7 +201,7 @@ impl Handshake {
         let frame_type = frame.frame_type;
         let fields = |length| super::fields::Fields::new(frame_type, &frame.payload, length);
         Ok(match frame_type {
-            KNOCK => Self::Knock(fields(NONCE_BYTES)?.bytes()),
+            CLIENT_NONCE => Self::ClientNonce(fields(NONCE_BYTES)?.bytes()),
             CHALLENGE => {
                 let mut fields = fields(NONCE_BYTES + 32)?;
                 Self::Challenge(fields.bytes(), fields.bytes())

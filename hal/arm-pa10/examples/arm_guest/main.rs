@@ -27,14 +27,14 @@ use report::Report;
 const FIRST: u32 = 1;
 
 fn main() -> ExitCode {
-    let words: Vec<String> = std::env::args().skip(1).collect();
-    let words: Vec<&str> = words.iter().map(String::as_str).collect();
+    let args: Vec<String> = std::env::args().skip(1).collect();
+    let args: Vec<&str> = args.iter().map(String::as_str).collect();
     if std::process::id() == FIRST {
-        run(words.first().copied().unwrap_or_default());
+        run(args.first().copied().unwrap_or_default());
         system::switch_off();
         return ExitCode::SUCCESS;
     }
-    match words.as_slice() {
+    match args.as_slice() {
         ["open", path, baud] => serial::try_to_open(path, baud),
         ["read", path] => serial::try_to_read(path),
         ["open-bus", interface] => arcnet::try_to_open(interface),

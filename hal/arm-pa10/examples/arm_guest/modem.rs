@@ -38,13 +38,13 @@ fn plug() -> Result<(), Box<dyn Error>> {
     for folder in ["", "strings/0x409", "configs/c.1", "functions/acm.0"] {
         fs::create_dir(gadget.join(folder)).map_err(|error| format!("gadget `{folder}`: {error}"))?;
     }
-    let words = [
+    let args = [
         ("idVendor", format!("{VENDOR:#06x}")),
         ("idProduct", format!("{PRODUCT:#06x}")),
         ("strings/0x409/product", "modem".to_owned()),
         ("strings/0x409/serialnumber", "MODEM".to_owned()),
     ];
-    for (file, text) in words {
+    for (file, text) in args {
         fs::write(gadget.join(file), text).map_err(|error| format!("gadget `{file}`: {error}"))?;
     }
     symlink(gadget.join("functions/acm.0"), gadget.join("configs/c.1/acm.0"))?;

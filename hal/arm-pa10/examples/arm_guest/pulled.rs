@@ -71,7 +71,7 @@ struct Times {
     /// The host has stopped the arm.
     stopped: Duration,
     /// The control loop has its error.
-    told: Duration,
+    reported_at: Duration,
     /// The gateway has stopped the arm.
     gateway: Duration,
     /// The joints are stationary.
@@ -82,11 +82,11 @@ struct Times {
 
 impl std::fmt::Display for Times {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let [stopped, told, gateway, rest, again] =
-            [self.stopped, self.told, self.gateway, self.rest, self.again].map(|time| time.as_secs_f64() * 1e3);
+        let [stopped, reported_at, gateway, rest, again] =
+            [self.stopped, self.reported_at, self.gateway, self.rest, self.again].map(|time| time.as_secs_f64() * 1e3);
         write!(
             f,
-            "host stopped {stopped:.1} ms, loop told {told:.1} ms, gateway stopped {gateway:.1} ms, joints at rest {rest:.1} ms; moves \
+            "host stopped {stopped:.1} ms, loop told {reported_at:.1} ms, gateway stopped {gateway:.1} ms, joints at rest {rest:.1} ms; moves \
              {again:.0} ms after its reset"
         )
     }
@@ -105,11 +105,11 @@ fn pull(cell: &mut Cell, end: End) -> Result<Times, Box<dyn Error>> {
     let asked = now();
     unplug(device);
     let error = move_until_stopped(cell, asked)?;
-    let told = now();
+    let reported_at = now();
     let noticed = log.wait_for("USB disconnect")?;
     let latched = cell.arm.monitor().snapshot().latched.ok_or("there is an error, and the arm is not stopped")?;
     wait_for("the port is gone", || (!Path::new(&path).exists()).then_some(()))?;
-    let stop = judge_stop(cell, end, noticed, told, &error, &latched);
+    let stop = judge_stop(cell, end, noticed, reported_at, &error, &latched);
     let position = cell.position_rad();
     plug(device);
     let again = adapter(name)?;
@@ -125,12 +125,12 @@ fn pull(cell: &mut Cell, end: End) -> Result<Times, Box<dyn Error>> {
         format!("not reset, and: enabled {enabled}, moved by {moved} rad, at rest {}", cell.is_at_rest())
     })?;
     if end == End::Gateway {
-        let mut said = Vec::new();
+        let mut messages = Vec::new();
         wait_for("the gateway opens its port again", || {
-            said.extend(cell.gateway_messages());
-            said.iter().any(|text| text.contains("is open")).then_some(())
+            messages.extend(cell.gateway_messages());
+            messages.iter().any(|text| text.contains("is open")).then_some(())
         })
-        .map_err(|error| format!("{error}: {said:?}"))?;
+        .map_err(|error| format!("{error}: {messages:?}"))?;
     }
     let reset = now();
     cell.make_move()?;
@@ -195,7 +195,7 @@ fn judge_stop(
     cell: &mut Cell,
     end: End,
     noticed: MonotonicTime,
-    told: MonotonicTime,
+    reported_at: MonotonicTime,
     error: &ArmError,
     latched: &Latched,
 ) -> Result<Times, Box<dyn Error>> {
@@ -220,7 +220,7 @@ fn judge_stop(
     ensure(still == Some(*latched), || format!("first {latched:?}, then {still:?}"))?;
     Ok(Times {
         stopped: latency,
-        told: told.saturating_since(noticed),
+        reported_at: reported_at.saturating_since(noticed),
         gateway: stopped.saturating_since(noticed),
         rest,
         again: Duration::ZERO,

@@ -57,12 +57,12 @@ fn locked_kib() -> Result<u64, Box<dyn std::error::Error>> {
 }
 
 fn as_nobody() -> Outcome {
-    let said = as_user(User::Nobody, &["realtime"])?;
-    for words in ["SCHED_FIFO with priority 50", "CAP_SYS_NICE", "memory cannot be locked", "CAP_IPC_LOCK"] {
-        ensure(said.contains(words), || format!("nothing of `{words}` in: {said}"))?;
+    let output_text = as_user(User::Nobody, &["realtime"])?;
+    for args in ["SCHED_FIFO with priority 50", "CAP_SYS_NICE", "memory cannot be locked", "CAP_IPC_LOCK"] {
+        ensure(output_text.contains(args), || format!("nothing of `{args}` in: {output_text}"))?;
     }
-    ensure(said.lines().count() == 3 && said.ends_with("slept: true"), || said.clone())?;
-    let causes: Vec<&str> = said.lines().filter_map(|line| line.split(": ").next()).collect();
+    ensure(output_text.lines().count() == 3 && output_text.ends_with("slept: true"), || output_text.clone())?;
+    let causes: Vec<&str> = output_text.lines().filter_map(|line| line.split(": ").next()).collect();
     Ok(format!("{} for policy and memory; the clock works", causes[..2].join(" and ")))
 }
 

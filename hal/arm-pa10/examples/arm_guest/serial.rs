@@ -168,7 +168,7 @@ fn exclusive(path: &str) -> Outcome {
     fs::set_permissions(path, Permissions::from_mode(0o666))?;
     let config = config(path, LIAR_HAS, SLOW_CYCLE);
     let baud = LIAR_HAS.to_string();
-    let words = ["open", path, &baud];
+    let args = ["open", path, &baud];
     let first = SerialLink::open(&config)?;
     let refusal = match SerialLink::open(&config) {
         Ok(_) => return Err("opened twice in one program".into()),
@@ -176,15 +176,15 @@ fn exclusive(path: &str) -> Outcome {
         Err(error) => return Err(format!("another refusal: {error}").into()),
     };
     for user in [User::Root, User::Nobody, User::Root] {
-        let said = as_user(user, &words)?;
-        ensure(said == format!("refused: {refusal}"), || format!("{user:?}: {said}"))?;
+        let output_text = as_user(user, &args)?;
+        ensure(output_text == format!("refused: {refusal}"), || format!("{user:?}: {output_text}"))?;
     }
     // Programs without a lock are refused by the kernel, and a refused program must not have changed that.
-    let said = as_user(User::Nobody, &["read", path])?;
-    ensure(said == "ResourceBusy", || format!("another kind of program: {said}"))?;
+    let output_text = as_user(User::Nobody, &["read", path])?;
+    ensure(output_text == "ResourceBusy", || format!("another kind of program: {output_text}"))?;
     drop(first);
-    let said = as_user(User::Nobody, &words)?;
-    ensure(said.starts_with("opened"), || format!("after it was closed: {said}"))?;
+    let output_text = as_user(User::Nobody, &args)?;
+    ensure(output_text.starts_with("opened"), || format!("after it was closed: {output_text}"))?;
     Ok(refusal)
 }
 

@@ -66,9 +66,9 @@ pub enum User {
 }
 
 /// Starts this program again with these arguments; returns its output.
-pub fn as_user(user: User, words: &[&str]) -> Result<String, Box<dyn Error>> {
+pub fn as_user(user: User, args: &[&str]) -> Result<String, Box<dyn Error>> {
     let mut command = Command::new("/proc/self/exe");
-    command.args(words);
+    command.args(args);
     if user == User::Nobody {
         // This also drops the groups of root.
         command.uid(NOBODY).gid(NOBODY);
@@ -78,7 +78,7 @@ pub fn as_user(user: User, words: &[&str]) -> Result<String, Box<dyn Error>> {
     if output.status.success() {
         Ok(text)
     } else {
-        Err(format!("{words:?} as {user:?}: {}: {text}", output.status).into())
+        Err(format!("{args:?} as {user:?}: {}: {text}", output.status).into())
     }
 }
 
@@ -123,9 +123,9 @@ impl KernelLog {
     }
 
     /// Waits for a kernel message that contains this word; returns its time.
-    pub fn wait_for(&mut self, word: &str) -> Result<MonotonicTime, Box<dyn Error>> {
-        let what = format!("the kernel says `{word}`");
-        wait_for(&what, || self.next().ok().flatten().filter(|(_, text)| text.contains(word)).map(|(at, _)| at))
+    pub fn wait_for(&mut self, term: &str) -> Result<MonotonicTime, Box<dyn Error>> {
+        let what = format!("the kernel says `{term}`");
+        wait_for(&what, || self.next().ok().flatten().filter(|(_, text)| text.contains(term)).map(|(at, _)| at))
     }
 
     fn next(&mut self) -> Result<Option<(MonotonicTime, String)>, Box<dyn Error>> {

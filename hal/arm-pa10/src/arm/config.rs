@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use super::request::WishError;
+use super::request::RequestError;
 use crate::driver::{DriverConfig, DriverConfigError};
 use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::ArmId;
@@ -117,6 +117,6 @@ pub enum ArmOpenError {
         arm: String,
         /// The reason.
         #[source]
-        source: WishError,
+        source: RequestError,
     },
 }

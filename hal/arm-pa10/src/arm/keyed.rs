@@ -292,7 +292,7 @@ impl KeyedTcp {
         let closed = |source| AccessError::Closed { target: self.target(), source };
         let nonce = random_bytes()?;
         // A refusal may be on its way although the gateway no longer reads.
-        let sent = write_all(&mut link, &Handshake::Knock(nonce).frame(self.arm).encode());
+        let sent = write_all(&mut link, &Handshake::ClientNonce(nonce).frame(self.arm).encode());
         let frame = match read_frame(&mut link, &[]) {
             Ok(Some(frame)) => frame,
             Ok(None) => return Err(AccessError::NoChallenge { target: target() }),

@@ -42,13 +42,13 @@ use self::gateway_port::GatewayPort;
 use self::port::HostPort;
 use self::shared::{PowerRequest, Shared};
 use self::trace::Tracer;
-use self::worker::{LET_GO_MAX, Progress, WishEnd, Worker};
+use self::worker::{Progress, RELEASE_MAX, RequestResult, Worker};
 use crate::driver::{Activity, Driver, DriverConfig, Trip};
 
 pub use certificate::{CertificateFileError, GatewayIdentity, PinnedCertificate, write_new_certificate};
 pub use config::{ArmOpenError, BusArmConfig, Pa10ArmConfig, REALTIME};
 pub use keyed::{AccessError, KeyedLink, KeyedTcp, read_shared_key};
-pub use request::WishError;
+pub use request::RequestError;
 pub use shared::{ArmMonitor, ArmSnapshot};
 pub use tls::{HandshakeError, TlsLink};
 pub use trace::{Direction, RawBytes};
@@ -62,7 +62,7 @@ const FRESH_CYCLES: f64 = 1.5;
 const ACTIVITIES_MAX: u32 = 3;
 
 /// Longest wait for a terminal when an arm without answers is released.
-const LAST_WORDS_MAX: Duration = Duration::from_millis(300);
+const FINAL_FLUSH_MAX: Duration = Duration::from_millis(300);
 
 /// Failure to open an arm.
 const NOT_ENABLED: &str = "it is not enabled";
@@ -91,7 +91,7 @@ pub struct Pa10Arm {
     clock: Arc<dyn Clock>,
     shared: Arc<Shared>,
     trip: TripHandle,
-    ends: Receiver<WishEnd>,
+    ends: Receiver<RequestResult>,
     work: Work,
     warnings: Vec<String>,
     /// The current request to enable the arm: its number, and the deadline of its result.
@@ -242,7 +242,7 @@ impl Pa10Arm {
     /// # Errors
     /// If the arm is not merely connected, or the state stops it.
     pub fn look(&mut self) -> Result<(), ArmError> {
-        self.fulfil(PowerRequest::Look).map_err(|error| self.wish_error("looking at it", error))
+        self.fulfil(PowerRequest::Look).map_err(|error| self.request_error("looking at it", error))
     }
 
     /// Observes the arm.
@@ -258,7 +258,7 @@ impl Pa10Arm {
     /// Starts a request in the thread, which replaces any other one. Returns its number and the deadline of its result.
     fn begin(&mut self, request: PowerRequest) -> (u64, MonotonicTime) {
         self.enabling = None;
-        let number = self.shared.put_wish(request);
+        let number = self.shared.post_request(request);
         self.trip.wake();
         // The thread ends each request in limited time; this covers a thread that does not run.
         let patience = OPEN_MAX + self.driver.activity_timeout * ACTIVITIES_MAX;
@@ -266,19 +266,19 @@ impl Pa10Arm {
     }
 
     /// Executes a request and waits for its end.
-    fn fulfil(&mut self, request: PowerRequest) -> Result<(), WishError> {
+    fn fulfil(&mut self, request: PowerRequest) -> Result<(), RequestError> {
         let (number, deadline) = self.begin(request);
         loop {
             match self.next_end(deadline) {
                 Some((ended, end)) if ended == number => return end,
                 Some(_) => {}
-                None => return Err(WishError::NoThread),
+                None => return Err(RequestError::NoThread),
             }
         }
     }
 
     /// Waits for the end of a request.
-    fn next_end(&self, deadline: MonotonicTime) -> Option<WishEnd> {
+    fn next_end(&self, deadline: MonotonicTime) -> Option<RequestResult> {
         match &self.work {
             Work::Thread(_) => self.ends.recv_timeout(deadline.saturating_since(self.clock.now())).ok(),
             Work::Virtual(time) => loop {
@@ -293,10 +293,10 @@ impl Pa10Arm {
     }
 
     /// The result of the request with this number, if it has ended.
-    fn ended(&self, number: u64, deadline: MonotonicTime) -> Option<Result<(), WishError>> {
+    fn ended(&self, number: u64, deadline: MonotonicTime) -> Option<Result<(), RequestError>> {
         let ended = self.ends.try_iter().find(|(ended, _)| *ended == number);
         let is_late = self.clock.now() > deadline;
-        ended.map(|(_, end)| end).or_else(|| is_late.then_some(Err(WishError::NoThread)))
+        ended.map(|(_, end)| end).or_else(|| is_late.then_some(Err(RequestError::NoThread)))
     }
 
     /// Waits until the arm is in the wanted state or the time is over; returns the last snapshot.
@@ -312,15 +312,19 @@ impl Pa10Arm {
     }
 
     /// The error of a failed request.
-    fn wish_error(&self, what: &str, error: WishError) -> ArmError {
+    fn request_error(&self, what: &str, error: RequestError) -> ArmError {
         let kind = match &error {
-            WishError::Refused(_) | WishError::WarmUp(_) | WishError::StillStopping(_) => ArmErrorKind::Rejected,
-            WishError::Unplugged(_) | WishError::Connect(_) | WishError::NoGateway => ArmErrorKind::Disconnected,
-            WishError::Stopped(_)
-            | WishError::Gateway(_)
-            | WishError::Stuck(_)
-            | WishError::Unheard
-            | WishError::NoThread => {
+            RequestError::Refused(_) | RequestError::WarmUp(_) | RequestError::StillStopping(_) => {
+                ArmErrorKind::Rejected
+            }
+            RequestError::Unplugged(_) | RequestError::Connect(_) | RequestError::NoGateway => {
+                ArmErrorKind::Disconnected
+            }
+            RequestError::Stopped(_)
+            | RequestError::Gateway(_)
+            | RequestError::Stuck(_)
+            | RequestError::StopUnacknowledged
+            | RequestError::NoThread => {
                 if self.shared.snapshot().unplugged.is_some() {
                     ArmErrorKind::Disconnected
                 } else {
@@ -328,11 +332,11 @@ impl Pa10Arm {
                 }
             }
         };
-        let trip = if let WishError::Stopped(latched) = &error { Some(latched.trip) } else { None };
+        let trip = if let RequestError::Stopped(latched) = &error { Some(latched.trip) } else { None };
         let text = format!("arm {}: {what}", self.info.name);
         // A source follows the text wherever the whole chain is printed: the text must not repeat it.
         let failed = match error {
-            WishError::Connect(_) | WishError::Gateway(_) => ArmError::caused_by(kind, text, error),
+            RequestError::Connect(_) | RequestError::Gateway(_) => ArmError::caused_by(kind, text, error),
             _ => ArmError::new(kind, format!("{text}: {error}")),
         };
         about(failed, trip)
@@ -478,51 +482,51 @@ impl ArmPower for Pa10Arm {
             }
             PowerOrder::Reset => (self.fulfil(PowerRequest::Reset), "it is not reset"),
         };
-        done.map(Poll::Ready).map_err(|error| self.wish_error(failed, error))
+        done.map(Poll::Ready).map_err(|error| self.request_error(failed, error))
     }
 }
 
 impl Drop for Pa10Arm {
     fn drop(&mut self) {
-        self.shared.let_go();
+        self.shared.release();
         self.trip.wake();
         let thread = match &mut self.work {
             Work::Thread(thread) => thread.take(),
             Work::Virtual(time) => {
-                return time.let_go(&self.shared, self.clock.now() + LET_GO_MAX + self.driver.brake_time);
+                return time.release(&self.shared, self.clock.now() + RELEASE_MAX + self.driver.brake_time);
             }
         };
         let Some(thread) = thread else { return };
         // The program may end after this: the thread gets the time that it needs, unless it does not run.
-        let told_us = self.shared.snapshot().gateway.map_or(0, |hello| hello.brake_release_us);
-        let brakes = self.driver.brake_time.max(Duration::from_micros(told_us.into()));
-        let deadline = self.clock.now() + LET_GO_MAX + brakes + Duration::from_millis(500);
+        let reported_us = self.shared.snapshot().gateway.map_or(0, |hello| hello.brake_release_us);
+        let brakes = self.driver.brake_time.max(Duration::from_micros(reported_us.into()));
+        let deadline = self.clock.now() + RELEASE_MAX + brakes + Duration::from_millis(500);
         while !thread.is_finished() && self.clock.now() < deadline {
             std::thread::sleep(Duration::from_millis(1));
         }
         if thread.is_finished() {
             let _ = thread.join();
         }
-        if self.shared.snapshot().unheard {
-            last_words(&self.info.name);
+        if self.shared.snapshot().stop_unacknowledged {
+            final_flush(&self.info.name);
         }
     }
 }
 
 /// No program can stop this arm any more: the operator has to. The message goes to standard error, but a blocked terminal must not
 /// delay the other arms, which are released after this one.
-fn last_words(name: &str) {
-    let words = format!(
+fn final_flush(name: &str) {
+    let latch_text = format!(
         "\nEMERGENCY STOP: press it at arm {name}. The program releases the arm, its controller has not answered the stop \
          order, and the arm may still move.\n"
     );
-    let (told, is_told) = channel();
+    let (reported, reports) = channel();
     let tell = move || {
         let mut errors = std::io::stderr();
-        let _ = errors.write_all(words.as_bytes()).and_then(|()| errors.flush());
-        let _ = told.send(());
+        let _ = errors.write_all(latch_text.as_bytes()).and_then(|()| errors.flush());
+        let _ = reported.send(());
     };
     if std::thread::Builder::new().name("arm last words".to_owned()).spawn(tell).is_ok() {
-        let _ = is_told.recv_timeout(LAST_WORDS_MAX);
+        let _ = reports.recv_timeout(FINAL_FLUSH_MAX);
     }
 }

@@ -26,7 +26,7 @@ const STOP_MAX: Duration = Duration::from_secs(1);
 
 /// Why a request failed.
 #[derive(Debug, thiserror::Error)]
-pub enum WishError {
+pub enum RequestError {
     /// Not possible in this state.
     #[error(transparent)]
     Refused(#[from] Refusal),
@@ -53,7 +53,7 @@ pub enum WishError {
         "its controller has not answered the stop order, and the arm may still move: press its emergency stop; the stop order is repeated \
          while this program runs"
     )]
-    Unheard,
+    StopUnacknowledged,
     /// The link cannot be opened again.
     #[error("the link cannot be opened")]
     Connect(#[source] ConnectError),
@@ -95,7 +95,7 @@ pub(super) struct Running {
 }
 
 /// Resources of a request.
-pub(super) struct Means<'a> {
+pub(super) struct RequestContext<'a> {
     pub driver: &'a mut Driver,
     pub port: &'a mut dyn HostPort,
     /// Clock of the host.
@@ -108,75 +108,79 @@ impl Running {
     }
 
     /// Does the next step. `Some` when the request has succeeded or failed.
-    pub fn advance(&mut self, now: MonotonicTime, means: &mut Means<'_>) -> Option<Result<(), WishError>> {
+    pub fn advance(
+        &mut self,
+        now: MonotonicTime,
+        context: &mut RequestContext<'_>,
+    ) -> Option<Result<(), RequestError>> {
         let done = match self.request {
-            PowerRequest::Connect => self.connect(now, means),
-            PowerRequest::Enable => self.enable(now, means),
-            PowerRequest::Stop => self.stop(now, means),
-            PowerRequest::Reset => self.reset(now, means),
-            PowerRequest::Look => self.look(now, means),
+            PowerRequest::Connect => self.connect(now, context),
+            PowerRequest::Enable => self.enable(now, context),
+            PowerRequest::Stop => self.stop(now, context),
+            PowerRequest::Reset => self.reset(now, context),
+            PowerRequest::Look => self.look(now, context),
         };
         done.transpose()
     }
 
     /// `Ok(Some(()))` when done, `Ok(None)` if it continues.
-    fn connect(&mut self, now: MonotonicTime, means: &mut Means<'_>) -> Result<Option<()>, WishError> {
+    fn connect(&mut self, now: MonotonicTime, context: &mut RequestContext<'_>) -> Result<Option<()>, RequestError> {
         match self.stage {
             Stage::New => {
-                means.port.greet(now);
+                context.port.greet(now);
                 self.stage = Stage::Greeting;
             }
             // Another arm has answered, or another arm of the workcell has stopped.
-            Stage::Greeting if is_stopped_from_elsewhere(means.driver) => return Err(stopped(means.driver)),
-            Stage::Pausing(until) => self.ask_again(now, until, means),
+            Stage::Greeting if is_stopped_from_elsewhere(context.driver) => return Err(stopped(context.driver)),
+            Stage::Pausing(until) => self.ask_again(now, until, context),
             Stage::Greeting => {
-                if greeted(now, means)? {
-                    if means.port.hello().is_some_and(|hello| comes_to_rest(hello.state)) {
-                        self.pause(now, means)?;
+                if greeted(now, context)? {
+                    if context.port.hello().is_some_and(|hello| is_stopping(hello.state)) {
+                        self.pause(now, context)?;
                         return Ok(None);
                     }
-                    if let Some(trip) = means
+                    if let Some(trip) = context
                         .port
                         .hello()
-                        .and_then(|hello| stopped_before(hello, means.port.shown(), means.driver.signals()))
+                        .and_then(|hello| stopped_before(hello, context.port.shown(), context.driver.signals()))
                     {
                         // The operator has to see and reset it.
-                        means.driver.handle_trip(now, trip);
+                        context.driver.handle_trip(now, trip);
                     }
                     // The gateway may also have reported the change without a request.
-                    if means.driver.state().is_latched() {
+                    if context.driver.state().is_latched() {
                         return Ok(Some(()));
                     }
-                    means.driver.handle_request(now, Request::Connect)?;
+                    context.driver.handle_request(now, Request::Connect)?;
                     self.stage = Stage::Asked;
                 }
             }
-            Stage::Asked if means.driver.activity() != Activity::None => {}
+            Stage::Asked if context.driver.activity() != Activity::None => {}
             Stage::Asked => return Ok(Some(())),
         }
-        still_plugged(means)?;
+        check_connected(context)?;
         Ok(None)
     }
 
     /// Connects a connected arm again.
-    fn look(&mut self, now: MonotonicTime, means: &mut Means<'_>) -> Result<Option<()>, WishError> {
+    fn look(&mut self, now: MonotonicTime, context: &mut RequestContext<'_>) -> Result<Option<()>, RequestError> {
         if self.stage == Stage::New {
-            if means.driver.activity() != Activity::None {
+            if context.driver.activity() != Activity::None {
                 return Ok(None);
             }
-            still_plugged(means)?;
-            match means.driver.state() {
-                DriverState::Fault | DriverState::EStop => return Err(stopped(means.driver)),
+            check_connected(context)?;
+            match context.driver.state() {
+                DriverState::Fault | DriverState::EStop => return Err(stopped(context.driver)),
                 DriverState::Disconnected => {}
                 // The driver refuses with its reason if the control mode is on.
-                _ => means.driver.handle_request(now, Request::Disconnect)?,
+                _ => context.driver.handle_request(now, Request::Disconnect)?,
             }
         }
-        self.connect(now, means)
+        self.connect(now, context)
     }
 
-    fn enable(&mut self, now: MonotonicTime, means: &mut Means<'_>) -> Result<Option<()>, WishError> {
-        let driver = &mut *means.driver;
+    fn enable(&mut self, now: MonotonicTime, context: &mut RequestContext<'_>) -> Result<Option<()>, RequestError> {
+        let driver = &mut *context.driver;
         if driver.activity() != Activity::None {
             return Ok(None);
         }
@@ -189,7 +193,7 @@ impl Running {
             (DriverState::Connected, Stage::Asked) => {
                 return Err(driver
                     .warm_up_failure()
-                    .map_or(WishError::Stuck(driver.state()), |why| WishError::WarmUp(*why)));
+                    .map_or(RequestError::Stuck(driver.state()), |why| RequestError::WarmUp(*why)));
             }
             (DriverState::Connected, _) => {
                 self.stage = Stage::Asked;
@@ -204,72 +208,72 @@ impl Running {
         Ok(None)
     }
 
-    fn stop(&mut self, now: MonotonicTime, means: &mut Means<'_>) -> Result<Option<()>, WishError> {
+    fn stop(&mut self, now: MonotonicTime, context: &mut RequestContext<'_>) -> Result<Option<()>, RequestError> {
         if self.stage == Stage::New {
-            means.driver.handle_request(now, Request::Stop)?;
+            context.driver.handle_request(now, Request::Stop)?;
             self.stage = Stage::Asked;
         }
-        if means.driver.activity() != Activity::None {
+        if context.driver.activity() != Activity::None {
             return Ok(None);
         }
-        still_plugged(means)?;
-        if means.driver.is_unheard() {
-            return Err(WishError::Unheard);
+        check_connected(context)?;
+        if context.driver.stop_unacknowledged() {
+            return Err(RequestError::StopUnacknowledged);
         }
         Ok(Some(()))
     }
 
-    fn reset(&mut self, now: MonotonicTime, means: &mut Means<'_>) -> Result<Option<()>, WishError> {
-        if means.driver.activity() != Activity::None {
+    fn reset(&mut self, now: MonotonicTime, context: &mut RequestContext<'_>) -> Result<Option<()>, RequestError> {
+        if context.driver.activity() != Activity::None {
             // It is stopping, or being cleared.
             return Ok(None);
         }
         match self.stage {
-            Stage::New if !means.driver.state().is_latched() => {
+            Stage::New if !context.driver.state().is_latched() => {
                 // The driver refuses with its reason.
-                means.driver.handle_request(now, Request::Reset)?;
+                context.driver.handle_request(now, Request::Reset)?;
                 return Ok(Some(()));
             }
             Stage::New => {
-                if means.port.gone().is_some() {
-                    means.port.reopen().map_err(WishError::Connect)?;
+                if context.port.gone().is_some() {
+                    context.port.reopen().map_err(RequestError::Connect)?;
                 }
-                means.port.greet(now);
+                context.port.greet(now);
                 self.stage = Stage::Greeting;
             }
-            Stage::Pausing(until) => self.ask_again(now, until, means),
+            Stage::Pausing(until) => self.ask_again(now, until, context),
             Stage::Greeting => {
-                if greeted(now, means)? {
-                    means.driver.handle_request(now, Request::Reset)?;
+                if greeted(now, context)? {
+                    context.driver.handle_request(now, Request::Reset)?;
                     self.stage = Stage::Asked;
                 }
             }
             // After a dead host the gateway needs time, and refuses until then.
-            Stage::Asked if is_refused_while_stopping(means.driver) => self.pause(now, means)?,
-            Stage::Asked if means.driver.state().is_latched() => return Err(stopped(means.driver)),
+            Stage::Asked if is_refused_while_stopping(context.driver) => self.pause(now, context)?,
+            Stage::Asked if context.driver.state().is_latched() => return Err(stopped(context.driver)),
             Stage::Asked => return Ok(Some(())),
         }
-        still_plugged(means)?;
+        check_connected(context)?;
         Ok(None)
     }
 }
 
 impl Running {
     /// Waits for the end of the gateway's stop order, for a limited time.
-    fn pause(&mut self, now: MonotonicTime, means: &Means<'_>) -> Result<(), WishError> {
+    fn pause(&mut self, now: MonotonicTime, context: &RequestContext<'_>) -> Result<(), RequestError> {
         let brakes =
-            means.port.hello().map_or(Duration::ZERO, |hello| Duration::from_micros(hello.brake_release_us.into()));
+            context.port.hello().map_or(Duration::ZERO, |hello| Duration::from_micros(hello.brake_release_us.into()));
         let waited = now.saturating_since(*self.stopping.get_or_insert(now));
         if waited > brakes + STOP_MAX {
-            return Err(WishError::StillStopping(waited));
+            return Err(RequestError::StillStopping(waited));
         }
         self.stage = Stage::Pausing(now + ASK_AGAIN);
         Ok(())
     }
 
-    fn ask_again(&mut self, now: MonotonicTime, until: MonotonicTime, means: &mut Means<'_>) {
+    fn ask_again(&mut self, now: MonotonicTime, until: MonotonicTime, context: &mut RequestContext<'_>) {
         if now >= until {
-            means.port.greet_again(now);
+            context.port.greet_again(now);
             self.stage = Stage::Greeting;
         }
     }
@@ -293,7 +297,7 @@ fn is_stopped_from_elsewhere(driver: &Driver) -> bool {
 }
 
 /// Whether a gateway stops its arm, or will as soon as it detects the loss of the previous host.
-fn comes_to_rest(state: GatewayState) -> bool {
+fn is_stopping(state: GatewayState) -> bool {
     matches!(state, GatewayState::Holding | GatewayState::Moving | GatewayState::Stopping)
 }
 
@@ -304,18 +308,18 @@ fn is_refused_while_stopping(driver: &Driver) -> bool {
 }
 
 /// Whether the other side was greeted and is the right one.
-fn greeted(now: MonotonicTime, means: &mut Means<'_>) -> Result<bool, WishError> {
-    match means.port.greeted(now) {
+fn greeted(now: MonotonicTime, context: &mut RequestContext<'_>) -> Result<bool, RequestError> {
+    match context.port.greeted(now) {
         Greeted::Waiting => Ok(false),
         Greeted::Silent => {
-            still_plugged(means)?;
-            Err(WishError::NoGateway)
+            check_connected(context)?;
+            Err(RequestError::NoGateway)
         }
-        Greeted::Refused(error) => Err(WishError::Gateway(error)),
+        Greeted::Refused(error) => Err(RequestError::Gateway(error)),
         Greeted::Done => {
-            if let Some(hello) = means.port.hello() {
+            if let Some(hello) = context.port.hello() {
                 let brakes = Duration::from_micros(u64::from(hello.brake_release_us));
-                means.driver.raise_brake_time(brakes + means.cycle * BRAKE_MARGIN_CYCLES);
+                context.driver.raise_brake_time(brakes + context.cycle * BRAKE_MARGIN_CYCLES);
             }
             Ok(true)
         }
@@ -343,10 +347,10 @@ fn stopped_before(hello: &HelloReply, shown: Option<&Sample>, signals: &StatusSi
     }
 }
 
-fn still_plugged(means: &Means<'_>) -> Result<(), WishError> {
-    means.port.gone().map_or(Ok(()), |gone| Err(gone.into()))
+fn check_connected(context: &RequestContext<'_>) -> Result<(), RequestError> {
+    context.port.gone().map_or(Ok(()), |gone| Err(gone.into()))
 }
 
-fn stopped(driver: &Driver) -> WishError {
-    driver.latched().map_or(WishError::Stuck(driver.state()), |latched| WishError::Stopped(*latched))
+fn stopped(driver: &Driver) -> RequestError {
+    driver.latched().map_or(RequestError::Stuck(driver.state()), |latched| RequestError::Stopped(*latched))
 }

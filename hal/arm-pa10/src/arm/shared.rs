@@ -54,7 +54,7 @@ pub struct ArmSnapshot {
     /// Frames that were dropped because the line accepted no more.
     pub frames_unsent: u64,
     /// On a bus: the controller has not answered the stop order. The arm may move; the thread repeats the order.
-    pub unheard: bool,
+    pub stop_unacknowledged: bool,
 }
 
 /// Command of the control loop.
@@ -91,7 +91,7 @@ pub(super) struct Shared {
     observed: Mutex<ArmSnapshot>,
     /// Number of the request times 8, plus the request.
     request: AtomicU64,
-    let_go: AtomicBool,
+    release: AtomicBool,
     pub jitter: JitterMeter,
     pub round_trips: JitterMeter,
     pub control_trips: JitterMeter,
@@ -118,7 +118,7 @@ impl Shared {
             counters: LinkCounters::default(),
             line: ParserCounters::default(),
             frames_unsent: 0,
-            unheard: false,
+            stop_unacknowledged: false,
         };
         Self {
             command: Mutex::new(command),
@@ -126,7 +126,7 @@ impl Shared {
             changed: Condvar::new(),
             observed: Mutex::new(snapshot),
             request: AtomicU64::new(0),
-            let_go: AtomicBool::new(false),
+            release: AtomicBool::new(false),
             jitter: JitterMeter::default(),
             round_trips: JitterMeter::default(),
             control_trips: JitterMeter::default(),
@@ -184,7 +184,7 @@ impl Shared {
     }
 
     /// The owner's side: the number of the request, which identifies its result.
-    pub fn put_wish(&self, request: PowerRequest) -> u64 {
+    pub fn post_request(&self, request: PowerRequest) -> u64 {
         let number = self.request.load(Ordering::Relaxed) / 8 + 1;
         self.request.store(number * 8 + request as u64, Ordering::Release);
         number
@@ -197,12 +197,12 @@ impl Shared {
         Some((word / 8, request))
     }
 
-    pub fn let_go(&self) {
-        self.let_go.store(true, Ordering::Release);
+    pub fn release(&self) {
+        self.release.store(true, Ordering::Release);
     }
 
-    pub fn is_let_go(&self) -> bool {
-        self.let_go.load(Ordering::Acquire)
+    pub fn is_released(&self) -> bool {
+        self.release.load(Ordering::Acquire)
     }
 }
 
@@ -285,8 +285,8 @@ mod tests {
                 let is_taken = control.command().is_some_and(|command| command.ticket == cycle);
                 snapshot.samples = cycle;
                 let is_published = control.publish(&snapshot);
-                let seen = control.wait_for(Duration::ZERO, |snapshot| snapshot.samples == cycle);
-                if !is_taken || !is_published || seen.samples != cycle || control.snapshot().samples != cycle {
+                let snapshot = control.wait_for(Duration::ZERO, |snapshot| snapshot.samples == cycle);
+                if !is_taken || !is_published || snapshot.samples != cycle || control.snapshot().samples != cycle {
                     break;
                 }
                 let _ = done.send(cycle);

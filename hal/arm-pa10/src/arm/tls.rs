@@ -41,7 +41,7 @@ pub struct TlsLink<L> {
     link: L,
     connection: Connection,
     /// Whether the other side has sent something.
-    is_heard: bool,
+    is_received: bool,
     /// Decrypted bytes that were not read yet.
     unread: usize,
     /// A lost link stays lost.
@@ -53,7 +53,7 @@ impl<L: ByteLink> TlsLink<L> {
     pub fn new(link: L, connection: impl Into<Connection>) -> Self {
         let mut connection = connection.into();
         connection.set_buffer_limit(Some(UNSENT_MAX));
-        Self { link, connection, is_heard: false, unread: 0, gone: None }
+        Self { link, connection, is_received: false, unread: 0, gone: None }
     }
 
     /// Continues the handshake without blocking; whether it is complete.
@@ -90,7 +90,7 @@ impl<L: ByteLink> TlsLink<L> {
         let mut bytes = &piece[..count];
         // A record of TLS never begins like a frame.
         if count > 0
-            && !std::mem::replace(&mut self.is_heard, true)
+            && !std::mem::replace(&mut self.is_received, true)
             && !matches!(first_frame(&bytes[..count.min(FRAME_BYTES_MAX)]), FirstFrame::None)
         {
             return Err(HandshakeError::Plain { bytes: bytes.to_vec() });

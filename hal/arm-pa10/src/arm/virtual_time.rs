@@ -63,7 +63,7 @@ impl VirtualTime {
     }
 
     /// An arm whose owner is gone is stopped, by this time at the latest.
-    pub(super) fn let_go(&self, shared: &Arc<Shared>, deadline: MonotonicTime) {
+    pub(super) fn release(&self, shared: &Arc<Shared>, deadline: MonotonicTime) {
         let lives = || lock(&self.arms).iter().any(|arm| Arc::ptr_eq(&arm.worker.shared, shared));
         while lives() && self.step(deadline) {}
         lock(&self.arms).retain(|arm| !Arc::ptr_eq(&arm.worker.shared, shared));

@@ -11,7 +11,7 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Clock, JointCommand};
 
 use super::port::HostPort;
-use super::request::{Means, Running, WishError};
+use super::request::{RequestContext, RequestError, Running};
 use super::shared::{ArmSnapshot, Shared};
 use super::trip_line::TripSeat;
 use crate::driver::{Activity, Driver, FaultCause, Request, Trip};
@@ -26,10 +26,10 @@ const SOON: Duration = Duration::from_micros(200);
 const OPEN_AGAIN: Duration = Duration::from_millis(200);
 
 /// Time limit, besides the brake time, to stop an arm that the program has released.
-pub(super) const LET_GO_MAX: Duration = Duration::from_millis(1300);
+pub(super) const RELEASE_MAX: Duration = Duration::from_millis(1300);
 
 /// Result of a request: its number, and why it failed.
-pub(super) type WishEnd = (u64, Result<(), WishError>);
+pub(super) type RequestResult = (u64, Result<(), RequestError>);
 
 pub(super) struct Worker {
     pub arm: ArmId,
@@ -39,7 +39,7 @@ pub(super) struct Worker {
     pub clock: Arc<dyn Clock>,
     pub seat: TripSeat,
     pub shared: Arc<Shared>,
-    pub ends: Sender<WishEnd>,
+    pub ends: Sender<RequestResult>,
     pub progress: Progress,
 }
 
@@ -50,9 +50,9 @@ pub(super) struct Progress {
     request: u64,
     running: Option<Running>,
     /// Result of the last request, until the owner reads it.
-    ended: Option<WishEnd>,
+    ended: Option<RequestResult>,
     /// The other arms know that this arm has stopped.
-    others_told: bool,
+    others_reported: bool,
     samples: u64,
     last_sample: MonotonicTime,
     sample_at: Option<MonotonicTime>,
@@ -60,7 +60,7 @@ pub(super) struct Progress {
     come_back: bool,
     /// Time of the last message, number of answers before it, and whether it was a cyclic command.
     asked: Option<(MonotonicTime, u64, bool)>,
-    letting_go: Option<MonotonicTime>,
+    releasing: Option<MonotonicTime>,
     /// Time of the last attempt to open a lost bus.
     opened: Option<MonotonicTime>,
     failed: bool,
@@ -93,12 +93,12 @@ impl Worker {
     pub(super) fn turn(&mut self) {
         let now = self.clock.now();
         self.take_trip(now);
-        self.take_wish();
+        self.take_request();
         self.take_command(now);
-        self.let_go(now);
+        self.release(now);
         self.open_again(now);
         self.receive(now);
-        self.advance_wish(now);
+        self.advance_request(now);
         self.transmit();
         self.tell_others();
         self.publish();
@@ -111,7 +111,7 @@ impl Worker {
         }
     }
 
-    fn take_wish(&mut self) {
+    fn take_request(&mut self) {
         let Some((number, request)) = self.shared.request() else { return };
         if number != self.progress.request {
             self.progress.request = number;
@@ -119,11 +119,11 @@ impl Worker {
         }
     }
 
-    fn advance_wish(&mut self, now: MonotonicTime) {
+    fn advance_request(&mut self, now: MonotonicTime) {
         let Self { driver, port, cycle, .. } = self;
         let Some(running) = &mut self.progress.running else { return };
-        let mut means = Means { driver, port: port.as_mut(), cycle: *cycle };
-        if let Some(end) = running.advance(now, &mut means) {
+        let mut context = RequestContext { driver, port: port.as_mut(), cycle: *cycle };
+        if let Some(end) = running.advance(now, &mut context) {
             self.progress.ended = Some((running.number, end));
             self.progress.running = None;
         }
@@ -151,14 +151,14 @@ impl Worker {
     }
 
     /// The owner is gone: stop as quickly as after a fault if the arm could move.
-    fn let_go(&mut self, now: MonotonicTime) {
-        if !self.shared.is_let_go() || self.progress.letting_go.is_some() {
+    fn release(&mut self, now: MonotonicTime) {
+        if !self.shared.is_released() || self.progress.releasing.is_some() {
             return;
         }
-        self.progress.letting_go = Some(now);
+        self.progress.releasing = Some(now);
         self.progress.running = None;
         if self.driver.state().has_open_brakes() {
-            self.driver.handle_trip(now, Trip::Fault(FaultCause::LetGo));
+            self.driver.handle_trip(now, Trip::Fault(FaultCause::Released));
         } else {
             let _ = self.driver.handle_request(now, Request::Stop);
         }
@@ -167,7 +167,7 @@ impl Worker {
     /// The controller has not received the stop order, and cannot over a lost bus. Only for a bus: a gateway stops its arm by
     /// itself.
     fn open_again(&mut self, now: MonotonicTime) {
-        if !self.driver.is_unheard() || self.port.gone().is_none() {
+        if !self.driver.stop_unacknowledged() || self.port.gone().is_none() {
             return;
         }
         if self.progress.opened.is_none_or(|last| now.saturating_since(last) >= OPEN_AGAIN) {
@@ -217,13 +217,13 @@ impl Worker {
     /// A stopped arm stops the others, unless they stopped it.
     fn tell_others(&mut self) {
         let Some(latched) = self.driver.latched() else {
-            self.progress.others_told = false;
+            self.progress.others_reported = false;
             return;
         };
-        if !self.progress.others_told && !latched.trip.is_by_other_arm() {
+        if !self.progress.others_reported && !latched.trip.is_by_other_arm() {
             self.seat.trip_others(self.arm);
         }
-        self.progress.others_told = true;
+        self.progress.others_reported = true;
     }
 
     fn publish(&mut self) {
@@ -255,16 +255,16 @@ impl Worker {
             counters: *driver.counters(),
             line: self.port.line(),
             frames_unsent: self.port.frames_unsent(),
-            unheard: driver.is_unheard(),
+            stop_unacknowledged: driver.stop_unacknowledged(),
         }
     }
 
     /// Whether the owner has released the arm and nothing is left to do for it.
     pub(super) fn is_over(&self) -> bool {
-        let Some(since) = self.progress.letting_go else { return false };
+        let Some(since) = self.progress.releasing else { return false };
         let at_rest = self.driver.activity() == Activity::None || self.port.gone().is_some();
-        (at_rest && !self.driver.is_unheard())
-            || self.clock.now().saturating_since(since) >= LET_GO_MAX + self.driver.brake_time()
+        (at_rest && !self.driver.stop_unacknowledged())
+            || self.clock.now().saturating_since(since) >= RELEASE_MAX + self.driver.brake_time()
     }
 
     fn wait(&mut self) {
@@ -281,7 +281,7 @@ impl Worker {
     }
 
     fn stop_after_failure(&mut self) {
-        self.shared.let_go();
+        self.shared.release();
         let now = self.clock.now();
         self.driver.handle_trip(now, Trip::Fault(FaultCause::Program));
         self.serve();

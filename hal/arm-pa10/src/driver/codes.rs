@@ -23,13 +23,13 @@ codes! {
         Gateway = "PB3DP-ARM-113": "The gateway stopped the arm. The message names its reason."; "Do what the message says. Then reset.";
         GatewayStopped = "PB3DP-ARM-114": "The gateway stopped following, without a reason and without an order of this program."; "Find out who stopped it. Then reset.";
         Rejected = "PB3DP-ARM-115": "The gateway refused a message of this program."; "Compare the versions and settings of host and gateway. Then reset.";
-        StillThere = "PB3DP-ARM-116": "The arm cannot be reset, because the cause of its stop is still there."; "Remove the cause. `pb3dp arm probe` shows the status words. Then reset.";
+        CauseNotCleared = "PB3DP-ARM-116": "The arm cannot be reset, because the cause of its stop is still there."; "Remove the cause. `pb3dp arm probe` shows the status words. Then reset.";
         LimitsDiffer = "PB3DP-ARM-117": "The servo controller keeps another limit for an axis than the configuration."; "Find out whether this is the arm of the configuration, and correct the wrong one. Then reset.";
         ActivityTimeout = "PB3DP-ARM-118": "Enabling, stopping or resetting took too long."; "Check that the arm answers: `pb3dp arm probe`. Then reset.";
         OtherArm = "PB3DP-ARM-119": "The other arm of the cell stopped and stopped this one, too."; "Look at the message of the other arm. Reset both.";
         FoundDriven = "PB3DP-ARM-120": "The arm was in motion or in control mode before this program asked for it, and was stopped: the program that drove it died."; "Find out which program that was, and why it died. Then reset.";
         Supervisor = "PB3DP-ARM-121": "The supervisor of this program stopped the arm."; "Look at the message of the supervisor. Then reset.";
-        LetGo = "PB3DP-ARM-122": "The program released the arm while its brakes were open."; "Stop the arm before the program ends.";
+        Released = "PB3DP-ARM-122": "The program released the arm while its brakes were open."; "Stop the arm before the program ends.";
         Program = "PB3DP-ARM-123": "The thread that watches the arm failed. This is a defect of pb3dp."; "Report it with the log, and start the program again.";
         Internal = "PB3DP-ARM-124": "The driver met an event that its state machine does not expect. This is a defect of pb3dp."; "Report it with the log. Then reset.";
         GatewayLimit = "PB3DP-ARM-125": "A command was outside a motion limit of the gateway. The message names axis and quantity."; "Compare `[limits]` in the gateway's file with the arm's limits in the setup. Report a defect if they agree. Then reset.";

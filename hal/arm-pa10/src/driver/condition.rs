@@ -224,7 +224,7 @@ pub enum FaultCause {
         "the gateway cannot reset the arm: {why}",
         why = why_not_reset(*.0)
     )]
-    StillThere(StopCause),
+    CauseNotCleared(StopCause),
     /// The limits of an axis differ from the configuration.
     #[error(
         "{axis}: the controller keeps a limit of {found_deg:.3} degrees, the configuration {expected_deg:.3}; find out whether this \
@@ -263,7 +263,7 @@ pub enum FaultCause {
     Supervisor,
     /// The program ended or released the arm while its brakes were open.
     #[error("the program released the arm while its brakes were open; stop the arm first")]
-    LetGo,
+    Released,
     /// The thread that monitors the arm failed.
     #[error(
         "the thread that monitors the arm failed: a defect of pb3dp; report it with the log, and start the program again"

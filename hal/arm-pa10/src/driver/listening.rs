@@ -24,13 +24,13 @@ const ANGLE_AT_REST_MAX_RAD: f64 = 77e-6;
 impl Driver {
     /// Whether the controller has not answered the stop order: the driver repeats it in every poll. The arm may move. Never with a
     /// gateway, which does the same by itself.
-    pub fn is_unheard(&self) -> bool {
-        self.doubt
+    pub fn stop_unacknowledged(&self) -> bool {
+        self.stop_unconfirmed
     }
 
     /// Whether the driver only repeats the stop order.
     pub(super) fn is_listening(&self) -> bool {
-        self.doubt && self.state.is_latched() && self.phase == Phase::Steady
+        self.stop_unconfirmed && self.state.is_latched() && self.phase == Phase::Steady
     }
 
     /// Brakes on, servos on: opens no brake, and matches an arm at rest.
@@ -40,11 +40,11 @@ impl Driver {
 
     /// Connecting, from its first step on.
     pub(super) fn begin_look(&mut self, activity: Activity) -> Phase {
-        self.doubt |= activity == Activity::Connecting && !self.has_gateway;
+        self.stop_unconfirmed |= activity == Activity::Connecting && !self.has_gateway;
         let step = match activity {
-            _ if self.doubt => {
-                self.found_rad = None;
-                LookStep::Close { until: None, heard: FirstAnswer::Nothing }
+            _ if self.stop_unconfirmed => {
+                self.first_position_rad = None;
+                LookStep::Close { until: None, acknowledged: FirstAnswer::Nothing }
             }
             Activity::Clearing => LookStep::Clear(0),
             _ => self.first_look(),
@@ -54,10 +54,10 @@ impl Driver {
 
     /// Continues the connecting steps when time has passed.
     pub(super) fn advance_look(&mut self, now: MonotonicTime) {
-        if let Phase::Looking { step: LookStep::Close { until: Some(until), heard }, activity } = self.phase
+        if let Phase::Looking { step: LookStep::Close { until: Some(until), acknowledged }, activity } = self.phase
             && now >= until
         {
-            self.phase = Phase::Looking { step: LookStep::FirstEnd { tries: 0, heard }, activity };
+            self.phase = Phase::Looking { step: LookStep::FirstEnd { tries: 0, acknowledged }, activity };
         }
     }
 
@@ -73,35 +73,43 @@ impl Driver {
     }
 
     /// E was answered before any other request.
-    pub(super) fn after_first_end(&mut self, now: MonotonicTime, heard: FirstAnswer, activity: Activity) -> LookStep {
-        if heard == FirstAnswer::Nothing {
+    pub(super) fn after_first_end(
+        &mut self,
+        now: MonotonicTime,
+        acknowledged: FirstAnswer,
+        activity: Activity,
+    ) -> LookStep {
+        if acknowledged == FirstAnswer::Nothing {
             // The first answer: the brakes close from now on, and all time limits start now.
             self.phase_since = now;
-            return LookStep::Close { until: Some(now + self.config.brake_time), heard: FirstAnswer::End };
+            return LookStep::Close { until: Some(now + self.config.brake_time), acknowledged: FirstAnswer::End };
         }
-        self.doubt = false;
+        self.stop_unconfirmed = false;
         match activity {
             Activity::Clearing => LookStep::Clear(0),
-            _ if heard == FirstAnswer::Cyclic => LookStep::Check { left: CHECKS },
+            _ if acknowledged == FirstAnswer::Cyclic => LookStep::Check { left: CHECKS },
             _ => self.first_look(),
         }
     }
 
     /// A cyclic command was answered, so the controller has received its brake order. Returns whether the answer has no other use.
-    pub(super) fn note_heard(&mut self, now: MonotonicTime, sample: &Sample) -> bool {
+    pub(super) fn note_acknowledged(&mut self, now: MonotonicTime, sample: &Sample) -> bool {
         let closed = now + self.config.brake_time;
         match self.phase {
-            Phase::Stopping(StopStep::Brake { until: Some(_), heard: false }) if !self.has_gateway => {
-                self.phase = Phase::Stopping(StopStep::Brake { until: Some(closed), heard: true });
+            Phase::Stopping(StopStep::Brake { until: Some(_), acknowledged: false }) if !self.has_gateway => {
+                self.phase = Phase::Stopping(StopStep::Brake { until: Some(closed), acknowledged: true });
                 false
             }
             Phase::Steady if self.is_listening() => {
-                self.phase = Phase::Stopping(StopStep::Brake { until: Some(closed), heard: true });
+                self.phase = Phase::Stopping(StopStep::Brake { until: Some(closed), acknowledged: true });
                 self.phase_since = now;
                 false
             }
-            Phase::Looking { step: LookStep::Close { until: Some(_), heard: FirstAnswer::Nothing }, activity } => {
-                let step = LookStep::Close { until: Some(closed), heard: FirstAnswer::Cyclic };
+            Phase::Looking {
+                step: LookStep::Close { until: Some(_), acknowledged: FirstAnswer::Nothing },
+                activity,
+            } => {
+                let step = LookStep::Close { until: Some(closed), acknowledged: FirstAnswer::Cyclic };
                 self.phase = Phase::Looking { step, activity };
                 self.judge_found(now, sample, activity);
                 true
@@ -119,7 +127,7 @@ impl Driver {
     }
 
     /// A message was not answered. Returns whether that is normal.
-    pub(super) fn note_unheard(&mut self, now: MonotonicTime) -> bool {
+    pub(super) fn note_unacknowledged(&mut self, now: MonotonicTime) -> bool {
         match self.phase {
             Phase::Looking { step: LookStep::Close { .. }, .. } => {
                 self.link.forget_misses();
@@ -148,7 +156,7 @@ impl Driver {
 
     /// An arm that moves before any request was driven by a program that died.
     fn judge_found(&mut self, now: MonotonicTime, sample: &Sample, activity: Activity) {
-        let first = *self.found_rad.get_or_insert(sample.position_rad);
+        let first = *self.first_position_rad.get_or_insert(sample.position_rad);
         let moved = (sample.position_rad - first).amax() > ANGLE_AT_REST_MAX_RAD;
         let runs = sample.velocity_rad_per_s.is_some_and(|velocity| velocity.amax() > SPEED_AT_REST_MAX_RAD_PER_S);
         if (moved || runs) && activity == Activity::Connecting {

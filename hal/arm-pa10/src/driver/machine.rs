@@ -45,7 +45,7 @@ pub enum Reply {
     /// The gateway refused the message.
     Rejected(RejectReason),
     /// The gateway refused a reset, because this cause is still present.
-    StillThere(StopCause),
+    CauseNotCleared(StopCause),
 }
 
 /// Limits of an axis in the controller.
@@ -79,7 +79,7 @@ pub struct Driver {
     pub(super) phase_since: MonotonicTime,
     pub(super) latched: Option<Latched>,
     /// The gateway has to latch the cause too.
-    pub(super) outlasts: bool,
+    pub(super) latch_in_gateway: bool,
     pub(super) motion: Motion,
     pub(super) link: LinkMonitor,
     pub(super) warm_up_failure: Option<WarmUpFailure>,
@@ -90,7 +90,7 @@ pub struct Driver {
     /// The shorter time-out of this watchdog and the gateway's.
     pub(super) stops_after: Duration,
     /// Time of the last request, or of the last cycle with open brakes.
-    pub(super) heard: MonotonicTime,
+    pub(super) last_request_at: MonotonicTime,
     pub(super) outstanding: Option<Outstanding>,
     /// The previous message, if its answer did not come.
     given_up: Option<Letter>,
@@ -103,9 +103,9 @@ pub struct Driver {
     /// A gateway is between the driver and the controller, and repeats unanswered orders by itself.
     pub(super) has_gateway: bool,
     /// On a bus: the arm may be driven, because no E was answered.
-    pub(super) doubt: bool,
+    pub(super) stop_unconfirmed: bool,
     /// Positions at the beginning of the connection.
-    pub(super) found_rad: Option<JointVector>,
+    pub(super) first_position_rad: Option<JointVector>,
 }
 
 /// An outstanding message.
@@ -122,7 +122,7 @@ fn fits(letter: Letter, reply: &Reply) -> bool {
         Reply::Sample(_) => letter == Letter::Cyclic,
         Reply::Limits(_) => letter == Letter::ReadEeprom,
         Reply::Done => !matches!(letter, Letter::Cyclic | Letter::ReadEeprom),
-        Reply::Rejected(_) | Reply::StillThere(_) => true,
+        Reply::Rejected(_) | Reply::CauseNotCleared(_) => true,
     }
 }
 
@@ -139,7 +139,7 @@ impl Driver {
             phase: Phase::Steady,
             phase_since: MonotonicTime::ZERO,
             latched: None,
-            outlasts: false,
+            latch_in_gateway: false,
             motion: Motion::Rest,
             link: LinkMonitor::default(),
             warm_up_failure: None,
@@ -148,7 +148,7 @@ impl Driver {
             torques: TorqueMonitor::default(),
             limits: [None; Axis::COUNT],
             stops_after: config.watchdog.stop_after(),
-            heard: MonotonicTime::ZERO,
+            last_request_at: MonotonicTime::ZERO,
             outstanding: None,
             given_up: None,
             next_transmit: MonotonicTime::ZERO,
@@ -156,8 +156,8 @@ impl Driver {
             control_started: false,
             brakes_open: false,
             has_gateway: false,
-            doubt: false,
-            found_rad: None,
+            stop_unconfirmed: false,
+            first_position_rad: None,
         })
     }
 
@@ -213,7 +213,7 @@ impl Driver {
     pub fn handle_request(&mut self, now: MonotonicTime, request: Request) -> Result<(), Refusal> {
         // Expired commands expire before a new velocity could hide it.
         self.handle_timeout(now);
-        self.heard = now;
+        self.last_request_at = now;
         let event = request.event();
         let activity = self.activity();
         let answer = outcome(self.state, event);
@@ -264,8 +264,8 @@ impl Driver {
         self.check_recent(now);
         match reply {
             Reply::Rejected(reason) => self.handle_rejection(now, *reason, FaultCause::Rejected(*reason)),
-            Reply::StillThere(found) => {
-                self.handle_rejection(now, RejectReason::CausePresent, FaultCause::StillThere(*found));
+            Reply::CauseNotCleared(found) => {
+                self.handle_rejection(now, RejectReason::CausePresent, FaultCause::CauseNotCleared(*found));
             }
             Reply::Sample(sample) => self.handle_sample(now, sample),
             Reply::Limits(limits) => self.handle_limits(now, limits),
@@ -306,7 +306,7 @@ impl Driver {
             let allowed = self.config.watchdog.stop_after();
             self.trip(now, Trip::Fault(FaultCause::CommandTimeout { age, allowed }));
         }
-        let (age, allowed) = (now.saturating_since(self.heard), self.config.owner_timeout);
+        let (age, allowed) = (now.saturating_since(self.last_request_at), self.config.owner_timeout);
         if (self.state, self.phase) == (DriverState::Holding, Phase::Steady) && age > allowed {
             self.trip(now, Trip::Fault(FaultCause::OwnerSilent { age, allowed }));
         }
@@ -333,7 +333,7 @@ impl Driver {
         self.note_sent(now, &message);
         let exchange = self.exchange;
         self.exchange += 1;
-        let latches = self.outlasts && self.is_stopping_latched();
+        let latches = self.latch_in_gateway && self.is_stopping_latched();
         Some(Transmit { exchange, message, latches })
     }
 

@@ -25,7 +25,7 @@ const BRAKES_LATER_MAX: Duration = Duration::from_millis(500);
 impl Driver {
     pub(super) fn handle_sample(&mut self, now: MonotonicTime, sample: &Sample) {
         self.keep(now, sample);
-        if self.note_heard(now, sample) {
+        if self.note_acknowledged(now, sample) {
             return;
         }
         let found = sample.condition.trip(&self.config.signals);
@@ -75,7 +75,7 @@ impl Driver {
                 let next = match step {
                     // These are answered by samples.
                     LookStep::Close { .. } | LookStep::Check { .. } => return,
-                    LookStep::FirstEnd { heard, .. } => self.after_first_end(now, heard, activity),
+                    LookStep::FirstEnd { acknowledged, .. } => self.after_first_end(now, acknowledged, activity),
                     LookStep::Clear(index) if index + 1 < Axis::COUNT => LookStep::Clear(index + 1),
                     LookStep::Clear(_) => self.first_look(),
                     LookStep::Limits(index) if index + 1 < Axis::COUNT => LookStep::Limits(index + 1),
@@ -83,7 +83,7 @@ impl Driver {
                     LookStep::Start | LookStep::Look => LookStep::Look,
                     LookStep::End => {
                         self.control_started = false;
-                        let done = if activity == Activity::Clearing { Event::Cleared } else { Event::Seen };
+                        let done = if activity == Activity::Clearing { Event::Cleared } else { Event::Inspected };
                         self.complete(now, done);
                         return;
                     }
@@ -126,7 +126,7 @@ impl Driver {
     /// An exchange without a usable reply.
     pub(super) fn handle_miss(&mut self, now: MonotonicTime) {
         let too_many = self.link.handle_miss();
-        if self.note_unheard(now) {
+        if self.note_unacknowledged(now) {
             return;
         }
         if let Phase::Looking { step: LookStep::Clear(_), .. } = self.phase {
@@ -189,10 +189,10 @@ impl Driver {
             Outcome::To(next) => {
                 // Connecting alone leaves no latch for the next program, which can connect too; and a gateway that its owner has
                 // stopped knows the cause.
-                let is_told = matches!(trip, Trip::Fault(FaultCause::GatewayStopped { .. }));
-                self.outlasts = match self.state.is_latched() {
-                    true => self.outlasts,
-                    false => self.activity() != Activity::Connecting && !is_told,
+                let is_reported = matches!(trip, Trip::Fault(FaultCause::GatewayStopped { .. }));
+                self.latch_in_gateway = match self.state.is_latched() {
+                    true => self.latch_in_gateway,
+                    false => self.activity() != Activity::Connecting && !is_reported,
                 };
                 self.latched = Some(Latched { trip, at: now, state_before: self.state });
                 self.state = next;
@@ -232,8 +232,8 @@ impl Driver {
         self.motion = self.stopping_motion(now, emergency);
         if self.brakes_open {
             self.phase = Phase::Stopping(first);
-        } else if self.doubt {
-            self.phase = Phase::Stopping(StopStep::Brake { until: None, heard: false });
+        } else if self.stop_unconfirmed {
+            self.phase = Phase::Stopping(StopStep::Brake { until: None, acknowledged: false });
         } else if self.control_started {
             self.phase = Phase::Stopping(StopStep::Off);
         } else {
@@ -246,9 +246,9 @@ impl Driver {
         let Phase::Stopping(step) = self.phase else { return };
         let next = match step {
             StopStep::Ramp if self.motion.is_at_rest(now) => StopStep::Rest { left: self.config.rest_cycles },
-            StopStep::Rest { left: 0 } => StopStep::Brake { until: None, heard: false },
-            StopStep::Brake { until: Some(until), heard } if now >= until => {
-                if !heard && !self.has_gateway {
+            StopStep::Rest { left: 0 } => StopStep::Brake { until: None, acknowledged: false },
+            StopStep::Brake { until: Some(until), acknowledged } if now >= until => {
+                if !acknowledged && !self.has_gateway {
                     return self.give_up_stop(now);
                 }
                 StopStep::Off
@@ -264,8 +264,8 @@ impl Driver {
         let next = match step {
             StopStep::Ramp => return,
             StopStep::Rest { left } => StopStep::Rest { left: left.saturating_sub(1) },
-            StopStep::Brake { until, heard } => {
-                StopStep::Brake { until: Some(until.unwrap_or(now + self.config.brake_time)), heard }
+            StopStep::Brake { until, acknowledged } => {
+                StopStep::Brake { until: Some(until.unwrap_or(now + self.config.brake_time)), acknowledged }
             }
             StopStep::Off => StopStep::End { tries: 0 },
             StopStep::End { tries } => StopStep::End { tries: tries + 1 },
@@ -275,8 +275,8 @@ impl Driver {
 
     /// The stop order is complete or given up for now, depending on an answer to E.
     pub(super) fn finish_stop(&mut self, now: MonotonicTime, answered: bool) {
-        let may_be_driven = self.control_started || self.brakes_open || self.doubt;
-        self.doubt = may_be_driven && !answered && !self.has_gateway;
+        let may_be_driven = self.control_started || self.brakes_open || self.stop_unconfirmed;
+        self.stop_unconfirmed = may_be_driven && !answered && !self.has_gateway;
         self.control_started = false;
         self.brakes_open = false;
         self.motion = Motion::Rest;
@@ -293,7 +293,7 @@ impl Driver {
                 }
                 self.state = next;
                 // Its owner may have waited for this.
-                self.heard = now;
+                self.last_request_at = now;
             }
             Outcome::Stay => {}
             Outcome::Begin(_) | Outcome::Refuse => {

@@ -56,7 +56,7 @@ pub enum Event {
     /// Request: release the arm.
     Disconnect,
     /// Connecting is complete.
-    Seen,
+    Inspected,
     /// Enabling is complete.
     Warmed,
     /// The brakes are open.
@@ -111,7 +111,7 @@ impl Event {
         Self::Stop,
         Self::Reset,
         Self::Disconnect,
-        Self::Seen,
+        Self::Inspected,
         Self::Warmed,
         Self::Released,
         Self::Stopped,

@@ -161,7 +161,7 @@ pub struct GatewayLink {
     last_sent: MonotonicTime,
     last_received: MonotonicTime,
     /// Damaged frames that the driver has counted.
-    damaged_told: u64,
+    damage_reported: u64,
 }
 
 impl GatewayLink {
@@ -182,7 +182,7 @@ impl GatewayLink {
             heartbeat: None,
             last_sent: MonotonicTime::ZERO,
             last_received: MonotonicTime::ZERO,
-            damaged_told: 0,
+            damage_reported: 0,
         }
     }
 
@@ -291,12 +291,12 @@ impl GatewayLink {
     }
 
     fn say(&mut self, now: MonotonicTime, message: ControlMessage) -> Result<(), LinkError> {
-        let said = match self.config.dialect {
+        let encoded = match self.config.dialect {
             Dialect::Transparent => transparent(self.config.format, &message)?,
             Dialect::GatewayV1 => gateway_v1(&message)?,
         };
         self.waiting = Waiting::Message(message);
-        self.asked = self.emit(now, &said);
+        self.asked = self.emit(now, &encoded);
         Ok(())
     }
 
@@ -311,10 +311,10 @@ impl GatewayLink {
     fn tell_damage(&mut self, driver: &mut Driver) {
         let counters = self.parser.counters();
         let damaged = counters.crc_errors + counters.header_errors + counters.truncated + counters.other_version;
-        for _ in self.damaged_told..damaged {
+        for _ in self.damage_reported..damaged {
             driver.handle_bad_reply(BadReply::Damaged);
         }
-        self.damaged_told = damaged;
+        self.damage_reported = damaged;
     }
 
     fn handle_received(&mut self, now: MonotonicTime, received: &Received, driver: &mut Driver) {
@@ -426,8 +426,8 @@ impl GatewayLink {
         if let Some(signal) = self.config.signals.from(SignalSource::Wired).find(|signal| !hello.wired.has(*signal)) {
             return Err(HelloError::NotWired { signal });
         }
-        let told = |geometry| geometry != Geometry::Unknown;
-        if told(hello.geometry) && told(geometry) && hello.geometry != geometry {
+        let is_stated = |geometry| geometry != Geometry::Unknown;
+        if is_stated(hello.geometry) && is_stated(geometry) && hello.geometry != geometry {
             return Err(HelloError::Geometry { got: hello.geometry, configured: geometry });
         }
         if let Some(wider) = hello.limits.wider_than(&self.config.limits.allowed) {
@@ -473,7 +473,7 @@ impl GatewayLink {
 fn refusal(reason: RejectReason, detail: u32) -> Reply {
     let found = u8::try_from(detail).ok().and_then(StopCause::from_code);
     match (reason, found) {
-        (RejectReason::CausePresent, Some(found)) if found != StopCause::None => Reply::StillThere(found),
+        (RejectReason::CausePresent, Some(found)) if found != StopCause::None => Reply::CauseNotCleared(found),
         _ => Reply::Rejected(reason),
     }
 }

@@ -199,10 +199,10 @@ pub fn killed() {
     let moved = (scene.end.cell().position() - before).amax();
     // 50 ms at the full speed of 0.3 rad/s and the braking distance, with a margin for a loaded machine.
     assert!(moved < 0.1, "{moved} rad");
-    let told = scene.check_next_start();
+    let messages = scene.check_next_start();
     assert!(
-        told.contains("the gateway stopped the arm: host-silent; the program that drove the arm ended, hung"),
-        "{told}"
+        messages.contains("the gateway stopped the arm: host-silent; the program that drove the arm ended, hung"),
+        "{messages}"
     );
 }
 
@@ -211,10 +211,10 @@ pub fn panicked() {
     let mut scene = Scene::of(&["host", "panic"]);
     assert!(!scene.host.wait().unwrap().success());
     scene.wait_until_braked(StopCause::HostFault);
-    let told = scene.check_next_start();
+    let messages = scene.check_next_start();
     assert!(
-        told.contains("the gateway stopped the arm: host-fault; the program that drove the arm found a fault"),
-        "{told}"
+        messages.contains("the gateway stopped the arm: host-fault; the program that drove the arm found a fault"),
+        "{messages}"
     );
 }
 

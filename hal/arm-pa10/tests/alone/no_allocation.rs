@@ -65,9 +65,9 @@ pub fn exchanges() {
             far.line.drop_answers.store(2, Ordering::SeqCst);
         }
         let before = requests_of_all_threads();
-        let told = exchange(&mut arm, cycle);
-        assert_eq!(requests_of_all_threads(), before, "exchange {cycle}: {told:?}");
-        *(if told.is_ok() { &mut quiet } else { &mut late }) += 1;
+        let answer = exchange(&mut arm, cycle);
+        assert_eq!(requests_of_all_threads(), before, "exchange {cycle}: {answer:?}");
+        *(if answer.is_ok() { &mut quiet } else { &mut late }) += 1;
         let _ = std::hint::black_box((monitor.snapshot(), monitor.jitter()));
     }
     assert!(quiet > 200 && late > 0, "{quiet} exchanges, {late} late");

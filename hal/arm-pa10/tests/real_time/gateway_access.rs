@@ -45,7 +45,7 @@ pub fn started() -> (GatewayServer, Emulation, SocketAddr) {
 }
 
 fn has_moved(emulation: &Emulation) -> bool {
-    (emulation.seen().position_rad - home()).amax() > 1e-6
+    (emulation.observed().position_rad - home()).amax() > 1e-6
 }
 
 /// A host without the key sends HELLO again and again; the gateway closes its connection, and the arm does not move.
@@ -103,7 +103,7 @@ fn a_dripping_peer_locks_nobody_out() {
 
 /// The refusals that a host can act on.
 #[test]
-fn refused_hosts_are_told_why() {
+fn refused_hosts_receive_the_reason() {
     let (side, address) = tcp_side();
     let (server, _emulation) = start(side);
     let refusal = |host: KeyedTcp| host.prove(TcpLink::connect(&host.tcp).unwrap()).err().unwrap();
@@ -111,8 +111,8 @@ fn refused_hosts_are_told_why() {
     assert!(matches!(refusal(other), AccessError::KeyMismatch { .. }));
     // The host closes first; the log of the gateway must name the keys, too.
     let begin = Instant::now();
-    let is_told = || server.try_message().is_some_and(|text| text.contains("most likely it has another key"));
-    while !is_told() {
+    let is_reported = || server.try_message().is_some_and(|text| text.contains("most likely it has another key"));
+    while !is_reported() {
         assert!(begin.elapsed() < LONG, "the log does not name the keys");
         std::thread::yield_now();
     }
@@ -159,8 +159,8 @@ fn a_replayed_connection_drives_no_arm() {
         host.open();
         host.lead_to_moving();
         drop(host);
-        emulation.wait_for("braked", |seen| seen.is_braked);
-        let (frames, rested) = (server.end().unwrap().bytes.frames, emulation.seen().position_rad);
+        emulation.wait_for("braked", |observed| observed.is_braked);
+        let (frames, rested) = (server.end().unwrap().bytes.frames, emulation.observed().position_rad);
         assert!(frames > 20, "{frames}");
         drop(emulation);
         let (server, emulation, address) = started();
@@ -217,7 +217,7 @@ fn nobody_disturbs_the_owner() {
         end.store(true, Ordering::SeqCst);
         host.must_be(DriverState::Moving);
         assert!(attacker.join().unwrap() > 100);
-        assert!(!emulation.seen().is_braked);
+        assert!(!emulation.observed().is_braked);
         drop(server);
     });
 }

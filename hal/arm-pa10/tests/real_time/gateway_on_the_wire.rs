@@ -75,13 +75,13 @@ fn records_that_are_repeated_exchanged_or_left_out_end_the_connection_and_the_mo
             let mut host = Host::new(Box::new(keyed(address).prove(line).unwrap()), Dialect::GatewayV1);
             host.open();
             host.lead_to_moving();
-            assert!(!emulation.seen().is_braked);
+            assert!(!emulation.observed().is_braked);
             wanted.store(meddling as u8, Ordering::SeqCst);
             assert!(host.run_for(LONG, |host| host.is_gone), "{meddling:?}: the connection stays open");
-            emulation.wait_for("braked", |seen| seen.is_braked);
-            let rested_rad = emulation.seen().position_rad;
+            emulation.wait_for("braked", |observed| observed.is_braked);
+            let rested_rad = emulation.observed().position_rad;
             std::thread::sleep(ms(100));
-            assert_eq!(emulation.seen().position_rad, rested_rad, "{meddling:?}");
+            assert_eq!(emulation.observed().position_rad, rested_rad, "{meddling:?}");
             drop(server);
         });
     }

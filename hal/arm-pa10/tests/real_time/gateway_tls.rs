@@ -52,10 +52,10 @@ fn run_and_capture(gateway: &KeyedTcp, emulation: &Emulation) -> [Vec<u8>; 2] {
     let mut host = Host::new(gateway.open(link).unwrap(), Dialect::GatewayV1);
     host.open();
     host.lead_to_moving();
-    assert!(!emulation.seen().is_braked);
+    assert!(!emulation.observed().is_braked);
     host.do_it(Request::Stop);
     host.must_be(DriverState::Connected);
-    assert!(emulation.seen().is_braked && !host.is_gone);
+    assert!(emulation.observed().is_braked && !host.is_gone);
     [capture.0, capture.1].map(|bytes| bytes.lock().unwrap().clone())
 }
 
@@ -105,7 +105,7 @@ fn a_replayed_tls_connection_drives_no_arm() {
         for from in [0].into_iter().chain(records.take(4)).chain([written.len() / 2]) {
             assert_closed(host.tcp.address, &written[from..]);
         }
-        assert!((emulation.seen().position_rad - home()).amax() < 1e-6);
+        assert!((emulation.observed().position_rad - home()).amax() < 1e-6);
         assert_eq!(server.end().unwrap().bytes.frames, 0, "the cycle thread heard of it");
     });
 }
@@ -122,10 +122,10 @@ fn assert_closed(address: SocketAddr, bytes: &[u8]) {
 }
 
 #[test]
-fn hosts_and_gateways_that_do_not_fit_are_told_why() {
+fn incompatible_hosts_and_gateways_are_refused_with_the_reason() {
     let (side, host) = tls_side();
     let (server, _emulation) = start(side);
-    let is_told = |part: &str| {
+    let is_reported = |part: &str| {
         let since = Instant::now();
         while !server.try_message().is_some_and(|text| text.contains(part)) {
             assert!(since.elapsed() < LONG, "the log does not tell: {part}");
@@ -141,9 +141,9 @@ fn hosts_and_gateways_that_do_not_fit_are_told_why() {
     };
     let (_, other) = new_certificate();
     check(&KeyedTcp { certificate: Some(other), ..host.clone() }, "PB3DP-ARM-610", "`gateway.certificate`");
-    is_told("it refuses the certificate of this gateway");
+    is_reported("it refuses the certificate of this gateway");
     check(&KeyedTcp { certificate: None, ..host.clone() }, "PB3DP-ARM-608", "name it in `gateway.certificate`");
-    is_told("it uses no TLS");
+    is_reported("it uses no TLS");
     let (side, address) = tcp_side();
     let (server, _emulation) = start(side);
     let host = KeyedTcp { certificate: host.certificate, ..keyed(address) };
@@ -157,7 +157,7 @@ fn hosts_and_gateways_that_do_not_fit_are_told_why() {
 
 /// The list of addresses comes before TLS, and its refusal reaches a host with TLS.
 #[test]
-fn a_tls_host_that_is_not_on_the_list_is_told_so() {
+fn a_tls_host_that_is_not_on_the_list_is_refused_with_the_reason() {
     let (identity, certificate) = new_certificate();
     let access = Access { key: test_key(), peers: vec!["192.0.2.7".parse().unwrap()], tls: Some(identity) };
     let side = HostSide::listen("127.0.0.1:0".parse().unwrap(), ARM, access).unwrap();
@@ -200,7 +200,7 @@ fn wrong_handshakes_are_closed_and_disturb_nobody() {
         }
         strangers.join().unwrap();
         host.must_be(DriverState::Moving);
-        assert!(!emulation.seen().is_braked && !host.is_gone);
+        assert!(!emulation.observed().is_braked && !host.is_gone);
         drop(server);
     });
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use pb3dp_arm_pa10::arm::{ArmOpenError, Direction, Pa10Arm, WishError, trip_line};
+use pb3dp_arm_pa10::arm::{ArmOpenError, Direction, Pa10Arm, RequestError, trip_line};
 use pb3dp_arm_pa10::driver::{DriverState, FaultCause, Trip};
 use pb3dp_arm_pa10_protocol::codec::ServoWord;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
@@ -44,12 +44,21 @@ fn an_arm_is_opened_enabled_moved_and_stopped() {
         assert_eq!(rig.arm.state(), ArmState::Disabled);
         assert_eq!(rig.far.gateway.lock().unwrap().state, GatewayState::Idle);
         assert!(rig.far.gateway.lock().unwrap().rejected.is_empty());
-        let told = rig.monitor().jitter();
-        assert!(told.cycles > 100 && told.p50 <= told.p99 && told.p99 <= told.max, "{told:?}");
+        let measured_jitter = rig.monitor().jitter();
+        assert!(
+            measured_jitter.cycles > 100
+                && measured_jitter.p50 <= measured_jitter.p99
+                && measured_jitter.p99 <= measured_jitter.max,
+            "{measured_jitter:?}"
+        );
         check_raw_bytes(&rig);
         let answers = rig.monitor().round_trips();
         assert!(answers.cycles > 100 && answers.max < 2 * rig.arm.info().cycle, "{answers:?}");
-        println!("lateness of {} cycles: {told:?}; {:?}", told.cycles, rig.monitor().snapshot().counters);
+        println!(
+            "lateness of {} cycles: {measured_jitter:?}; {:?}",
+            measured_jitter.cycles,
+            rig.monitor().snapshot().counters
+        );
     });
 }
 
@@ -63,8 +72,8 @@ fn an_arm_is_looked_at_again_while_its_brakes_are_on() {
         }
         let after = rig.monitor().snapshot();
         assert_eq!((after.state, after.samples), (DriverState::Connected, before.samples + 3));
-        let told = rig.monitor().control_trips();
-        assert!(told.cycles >= 4 * 9 && told.p50 <= told.max, "{told:?}");
+        let measured_jitter = rig.monitor().control_trips();
+        assert!(measured_jitter.cycles >= 4 * 9 && measured_jitter.p50 <= measured_jitter.max, "{measured_jitter:?}");
         rig.enable();
         let error = rig.arm.look().unwrap_err();
         assert_eq!(error.kind(), ArmErrorKind::Rejected, "{error}");
@@ -106,15 +115,15 @@ fn check_raw_bytes(rig: &Rig) {
         |way| kept.iter().filter(|raw| raw.way == way).flat_map(|raw| raw.bytes().to_vec()).collect::<Vec<_>>();
     let (mut frames, mut parser) = (Vec::new(), FrameParser::new(ArmId(2)));
     parser.feed(&stream(Direction::Out), |received| frames.push(received));
-    let heard = rig.heard();
-    assert_eq!(frames.len(), heard.len());
-    for (received, heard) in frames.iter().zip(&heard) {
+    let messages = rig.messages();
+    assert_eq!(frames.len(), messages.len());
+    for (received, messages) in frames.iter().zip(&messages) {
         let Received::Frame(frame) = received else { panic!("{received:?}") };
-        assert_eq!(HostMessage::decode(frame).unwrap(), *heard);
+        assert_eq!(HostMessage::decode(frame).unwrap(), *messages);
     }
     let (mut answers, mut parser) = (0, FrameParser::new(ArmId(2)));
     parser.feed(&stream(Direction::In), |_| answers += 1);
-    assert_eq!(answers, heard.len());
+    assert_eq!(answers, messages.len());
     assert!(kept.is_sorted_by_key(|raw| raw.at));
 }
 
@@ -123,7 +132,7 @@ fn an_idle_arm_shows_that_it_is_there() {
     in_real_time_beside_others(|| {
         let rig = rig();
         std::thread::sleep(Duration::from_millis(900));
-        let heartbeats = rig.heard().iter().filter(|message| **message == HostMessage::Heartbeat).count();
+        let heartbeats = rig.messages().iter().filter(|message| **message == HostMessage::Heartbeat).count();
         assert!((2..=4).contains(&heartbeats), "{heartbeats}");
         assert_eq!(rig.monitor().snapshot().state, DriverState::Connected);
     });
@@ -168,12 +177,12 @@ fn a_held_arm_may_be_left_alone() {
 }
 
 /// Whether the gateway went through the stop order: speed 0, brakes, servos off, end.
-fn was_stopped_in_order(heard: &[HostMessage]) -> bool {
+fn was_stopped_in_order(messages: &[HostMessage]) -> bool {
     let find = |from: usize, wanted: &dyn Fn(&HostMessage) -> bool| {
-        heard[from..].iter().position(wanted).map(|index| from + index)
+        messages[from..].iter().position(wanted).map(|index| from + index)
     };
     let is_mode = |mode: DriveMode| move |message: &HostMessage| matches!(message, HostMessage::Command(command) if command.mode == mode);
-    let last_motion = heard.iter().rposition(|message| {
+    let last_motion = messages.iter().rposition(|message| {
         matches!(message, HostMessage::Command(command) if command.velocity_rad_per_s() != JointVector::zeros())
     });
     let Some(last_motion) = last_motion else { return false };
@@ -196,7 +205,7 @@ fn a_panic_in_the_control_thread_stops_the_arm_and_latches() {
         assert!(control.join().is_err());
         let gateway = far.gateway.lock().unwrap();
         assert_eq!((gateway.state, gateway.cause), (GatewayState::Fault, StopCause::HostFault));
-        assert!(was_stopped_in_order(&gateway.heard));
+        assert!(was_stopped_in_order(&gateway.messages));
     });
 }
 
@@ -237,7 +246,7 @@ fn a_panic_in_the_arm_s_own_thread_stops_the_arm_and_latches() {
         }
         let gateway = rig.far.gateway.lock().unwrap();
         assert_eq!((gateway.state, gateway.cause), (GatewayState::Fault, StopCause::HostFault));
-        assert!(was_stopped_in_order(&gateway.heard));
+        assert!(was_stopped_in_order(&gateway.messages));
     });
 }
 
@@ -254,7 +263,7 @@ fn an_arm_that_is_dropped_in_motion_is_stopped_and_latched() {
         assert!(took < Duration::from_secs(2), "{took:?}");
         let gateway = far.gateway.lock().unwrap();
         assert_eq!((gateway.state, gateway.cause), (GatewayState::Fault, StopCause::HostFault));
-        assert!(was_stopped_in_order(&gateway.heard));
+        assert!(was_stopped_in_order(&gateway.messages));
     });
 }
 
@@ -277,14 +286,14 @@ fn an_arm_stops_the_other_one_of_its_cell() {
         let stopped = first.monitor().snapshot().latched.unwrap();
         assert!(matches!(stopped.trip, Trip::Fault(FaultCause::ServoAlarm { .. })), "{stopped:?}");
         assert_eq!(second.trip(), Trip::Fault(FaultCause::OtherArm { arm: 4 }));
-        let told = second.monitor().snapshot().latched.unwrap().at;
-        let after = told.saturating_since(stopped.at);
+        let measured_jitter = second.monitor().snapshot().latched.unwrap().at;
+        let after = measured_jitter.saturating_since(stopped.at);
         println!("the other arm was stopped {after:?} later");
         // The thread checks the trip line once per cycle; a delay of more than half a cycle is caused by the machine, if a
         // witness was equally late at the same time.
         let cycle = second.arm.info().cycle;
         if after > cycle {
-            let ago = clock.now().saturating_since(told);
+            let ago = clock.now().saturating_since(measured_jitter);
             note_lateness_at(Instant::now().checked_sub(ago).unwrap(), after.saturating_sub(cycle));
         }
         assert!(after < cycle * 3 / 2, "{after:?} in cycles of {cycle:?}");
@@ -312,7 +321,7 @@ fn an_arm_is_stopped_from_anywhere() {
 }
 
 #[test]
-fn a_gateway_that_stopped_the_arm_before_is_told_and_reset() {
+fn a_gateway_that_stopped_the_arm_before_is_reported_and_reset() {
     in_real_time_beside_others(|| {
         let pty = Pty::open().unwrap();
         let mut gateway = FakeGateway::new(ArmId(2), FORMAT);
@@ -344,6 +353,6 @@ fn configurations_that_contradict_themselves_are_refused() {
         assert!(matches!(error, ArmOpenError::Config { .. }), "{error:?}");
         // No gateway answers.
         let error = open_at(&pty, 2, seat()).err().unwrap();
-        assert!(matches!(error, ArmOpenError::Connect { source: WishError::NoGateway, .. }), "{error:?}");
+        assert!(matches!(error, ArmOpenError::Connect { source: RequestError::NoGateway, .. }), "{error:?}");
     });
 }

@@ -156,7 +156,7 @@ fn is_at_rest(end: &CellEnd) -> bool {
 }
 
 #[test]
-fn joints_go_where_they_are_told_in_every_dialect_and_format() {
+fn joints_follow_their_commands_in_every_dialect_and_format() {
     in_real_time_beside_others(|| {
         let kinds =
             [(Dialect::GatewayV1, B), (Dialect::Transparent, B), (Dialect::Transparent, WireFormat::LittleEndian5x8)];
@@ -234,7 +234,7 @@ fn a_control_loop_that_stays_away_has_the_joints_stopped() {
 }
 
 #[test]
-fn a_fault_of_the_arm_is_told_with_axis_and_alarm_and_reset_when_it_is_gone() {
+fn a_fault_of_the_arm_is_reported_with_axis_and_alarm_and_reset_when_it_is_gone() {
     in_real_time_beside_others(|| {
         let mut rig = Rig::one();
         rig.enable_and_move();

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use pb3dp_arm_pa10::arm::{ArmOpenError, Pa10Arm, WishError};
+use pb3dp_arm_pa10::arm::{ArmOpenError, Pa10Arm, RequestError};
 use pb3dp_arm_pa10::driver::{DriverState, FaultCause, Trip};
 use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
@@ -214,7 +214,7 @@ fn the_gateway_of_another_arm_is_refused() {
         let connector = serial(&pty);
         let _far = FarEnd::serve(Box::new(pty), FakeGateway::new(ArmId(3), FORMAT));
         let error = Pa10Arm::open(config(2), Box::new(connector), Arc::new(SystemClock::new()), seat()).err().unwrap();
-        assert!(matches!(error, ArmOpenError::Connect { source: WishError::NoGateway, .. }), "{error:?}");
+        assert!(matches!(error, ArmOpenError::Connect { source: RequestError::NoGateway, .. }), "{error:?}");
         let source = std::error::Error::source(&error).unwrap().to_string();
         assert!(source.contains("the number of the arm"), "{source}");
     });

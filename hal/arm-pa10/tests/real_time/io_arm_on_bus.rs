@@ -216,8 +216,8 @@ fn an_arm_on_the_bus_itself_goes_up_moves_and_comes_down() {
             enable_and_move(&mut arm);
             assert_eq!(arm.info().cycle, EXCHANGE_CYCLE);
             assert!(arm.info().name.starts_with("arm-8 (pa10 at socket "), "{}", arm.info().name);
-            let told = far.controller.lock().unwrap().commanded_rad_per_s();
-            assert!((told[2] - 0.3).abs() < 0.01, "{told}");
+            let output_text = far.controller.lock().unwrap().commanded_rad_per_s();
+            assert!((output_text[2] - 0.3).abs() < 0.01, "{output_text}");
             println!("{format}: {:?}, {:?}", arm.monitor().jitter(), arm.monitor().snapshot().counters);
             arm.stop().unwrap();
             assert!(far.is_at_rest());
@@ -244,7 +244,7 @@ fn who_lets_go_of_an_arm_with_slow_brakes_still_ends_its_control_mode() {
 }
 
 #[test]
-fn a_bus_that_goes_down_is_told_as_unplugged_and_its_arm_is_stopped_when_it_is_back() {
+fn a_bus_that_goes_down_is_reported_as_unplugged_and_its_arm_is_stopped_when_it_is_back() {
     in_real_time_beside_others(|| {
         let format = WireFormat::BigEndian6x10;
         // The controller continues with the last velocities.
@@ -291,10 +291,10 @@ fn a_program_that_lets_go_of_an_arm_that_does_not_hear_it_says_so() {
         let name = "real_time::io_arm_on_bus::a_program_that_lets_go_of_an_arm_that_does_not_hear_it_says_so";
         let mut child = std::process::Command::new(std::env::current_exe().unwrap());
         let ended = child.args([name, "--exact", "--nocapture"]).env(CHILD, "1").output().unwrap();
-        let told = String::from_utf8_lossy(&ended.stderr);
-        assert!(ended.status.success(), "{told}");
+        let output_text = String::from_utf8_lossy(&ended.stderr);
+        assert!(ended.status.success(), "{output_text}");
         assert!(String::from_utf8_lossy(&ended.stdout).contains("1 passed"), "no such test: {name}");
-        assert!(told.contains("EMERGENCY STOP: press it at arm arm-8"), "{told}");
+        assert!(output_text.contains("EMERGENCY STOP: press it at arm arm-8"), "{output_text}");
     });
 }
 
@@ -311,7 +311,7 @@ fn let_go_of_a_deaf_arm() {
     }
     let error = arm.stop().unwrap_err();
     assert!(error.to_string().contains("emergency stop"), "{error}");
-    assert!(arm.monitor().snapshot().unheard);
+    assert!(arm.monitor().snapshot().stop_unacknowledged);
     let begin = Instant::now();
     drop(arm);
     let took = begin.elapsed();
@@ -320,7 +320,7 @@ fn let_go_of_a_deaf_arm() {
 }
 
 #[test]
-fn an_emergency_stop_is_told_and_reset_when_it_is_released() {
+fn an_emergency_stop_is_reported_and_reset_when_it_is_released() {
     in_real_time_beside_others(|| {
         let format = WireFormat::BigEndian6x10;
         let far = Far::new("e-stop", format);

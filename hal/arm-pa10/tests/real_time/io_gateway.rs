@@ -119,14 +119,14 @@ fn go_up_and_down(host: &mut Host, emulation: &Emulation) {
         "{:?}",
         host.driver.latched()
     );
-    let seen = emulation.seen();
-    let moved = seen.position_rad - home();
+    let observed = emulation.observed();
+    let moved = observed.position_rad - home();
     assert!(moved[6] > 0.25 * velocity()[6], "{moved}");
     host.do_it(Request::Stop);
     host.must_be(DriverState::Connected);
-    emulation.wait_for("at rest", |seen| seen.is_braked && seen.mode == ControlMode::Adjustment);
-    let counters = emulation.seen().counters;
-    assert_eq!((counters.forbidden, counters.malformed, counters.odd, counters.let_go), (0, 0, 0, 0));
+    emulation.wait_for("at rest", |observed| observed.is_braked && observed.mode == ControlMode::Adjustment);
+    let counters = emulation.observed().counters;
+    assert_eq!((counters.forbidden, counters.malformed, counters.odd, counters.released), (0, 0, 0, 0));
     assert_eq!(counters.watchdog_trips, 0, "E came before the controller stopped by itself");
 }
 
@@ -182,8 +182,8 @@ fn unplugged_in_motion() {
     drop(witness);
     std::fs::remove_file(&line).unwrap();
     drop(host);
-    emulation.wait_for("braked", |seen| seen.is_braked && seen.mode == ControlMode::Adjustment);
-    assert_eq!(emulation.seen().counters.watchdog_trips, 0, "the gateway stopped it");
+    emulation.wait_for("braked", |observed| observed.is_braked && observed.mode == ControlMode::Adjustment);
+    assert_eq!(emulation.observed().counters.watchdog_trips, 0, "the gateway stopped it");
     let happened = events_until(&server, GatewayState::Fault);
     assert!(happened.iter().any(|what| matches!(what, Happened::HostGone(_))), "{happened:?}");
     let silent = |what: &Happened| matches!(what, Happened::State { cause: StopCause::HostSilent, .. });
@@ -214,7 +214,7 @@ fn connection_ends_in_motion() {
     host.must_be(DriverState::Moving);
     // As after kill -9 of the host.
     drop(host);
-    emulation.wait_for("braked", |seen| seen.is_braked && seen.mode == ControlMode::Adjustment);
+    emulation.wait_for("braked", |observed| observed.is_braked && observed.mode == ControlMode::Adjustment);
     let mut next = connect(address, Dialect::GatewayV1);
     next.open();
     assert_eq!(next.link.hello().unwrap().cause, StopCause::HostSilent);
@@ -229,9 +229,9 @@ fn connection_ends_in_motion() {
     // The owner ends the gateway during motion, which executes the stop order.
     let status = server.end().unwrap();
     assert_eq!((status.state, status.cause), (GatewayState::Idle, StopCause::None));
-    let seen = emulation.seen();
-    assert!(seen.is_braked && seen.mode == ControlMode::Adjustment, "{seen:?}");
-    assert_eq!(seen.counters.watchdog_trips, 0);
+    let observed = emulation.observed();
+    assert!(observed.is_braked && observed.mode == ControlMode::Adjustment, "{observed:?}");
+    assert_eq!(observed.counters.watchdog_trips, 0);
     assert!(next.run_for(LONG, |host| host.is_gone));
     assert!(next.driver.latched().is_some());
 }
@@ -319,10 +319,10 @@ fn bus_goes_down() {
     assert!((speed - velocity()).amax() < 1e-3, "{speed}");
     let emulation = Emulation::carry_on(accept(), controller);
     // The repeated stop order stops it, without a request.
-    emulation.wait_for("stopped", |seen| seen.is_braked && seen.mode == ControlMode::Adjustment);
-    let resting = emulation.seen().position_rad;
+    emulation.wait_for("stopped", |observed| observed.is_braked && observed.mode == ControlMode::Adjustment);
+    let resting = emulation.observed().position_rad;
     assert!(host.run_for(LONG, |host| host.driver.activity() == pb3dp_arm_pa10::driver::Activity::None));
-    assert!((emulation.seen().position_rad - resting).amax() < 1e-6);
+    assert!((emulation.observed().position_rad - resting).amax() < 1e-6);
     host.must_be(DriverState::Fault);
     host.do_it(Request::Reset);
     host.must_be(DriverState::Connected);
@@ -383,8 +383,8 @@ fn panics_in_motion() {
         host.lead_to_moving();
         drop(witness);
         is_wrong.store(true, Ordering::SeqCst);
-        emulation.wait_for("at rest", |seen| seen.is_braked && seen.mode == ControlMode::Adjustment);
-        assert_eq!(emulation.seen().counters.watchdog_trips, 0, "the gateway stopped it");
+        emulation.wait_for("at rest", |observed| observed.is_braked && observed.mode == ControlMode::Adjustment);
+        assert_eq!(emulation.observed().counters.watchdog_trips, 0, "the gateway stopped it");
         assert!(host.run_for(LONG, |host| host.driver.latched().is_some()), "the host learns of it");
         assert_eq!(server.end(), None);
     }

@@ -38,7 +38,7 @@ const FORMAT: WireFormat = WireFormat::BigEndian6x10;
 const REALTIME: Realtime = Realtime { priority: Some(5), locks_memory: false, cpu: None };
 
 /// Load by other tests must not make this test fail.
-const PATIENCE: Duration = Duration::from_secs(10);
+const TIMEOUT: Duration = Duration::from_secs(10);
 
 struct Rig {
     server: MockServer,
@@ -94,7 +94,7 @@ impl Rig {
         let clock = Arc::clone(&self.clock) as Arc<dyn Clock>;
         let seat = trip_line(1).unwrap().remove(0);
         let mut arm = Pa10Arm::open(config, connector, clock, seat).map_err(|error| error.to_string()).unwrap();
-        let until = Instant::now() + PATIENCE;
+        let until = Instant::now() + TIMEOUT;
         while let Err(error) = arm.enable() {
             // The link was too slow for a moment, or this caused a fault.
             assert!(Instant::now() < until, "{error}");
@@ -140,7 +140,7 @@ fn move_for(arm: &mut Pa10Arm, time: Duration) {
 
 /// Moves the arm, again after each stop that a loaded machine causes.
 fn moved_by(rig: &Rig, arm: &mut Pa10Arm, angle_rad: f64) -> f64 {
-    let (begin, until) = (rig.angle(), Instant::now() + PATIENCE);
+    let (begin, until) = (rig.angle(), Instant::now() + TIMEOUT);
     while rig.angle() - begin < angle_rad && Instant::now() < until {
         move_for(arm, Duration::from_millis(300));
         if arm.state() != ArmState::Enabled {
@@ -153,7 +153,7 @@ fn moved_by(rig: &Rig, arm: &mut Pa10Arm, angle_rad: f64) -> f64 {
 }
 
 fn wait_for(mut condition: impl FnMut() -> bool) -> bool {
-    let until = Instant::now() + PATIENCE;
+    let until = Instant::now() + TIMEOUT;
     while Instant::now() < until {
         if condition() {
             return true;
@@ -176,7 +176,7 @@ fn an_arm_moves_over_a_pseudo_terminal() {
         let report = rig.server.report();
         assert_eq!(report.mode, ControlMode::Adjustment);
         assert_eq!(
-            [report.counters.forbidden, report.counters.malformed, report.counters.odd, report.counters.let_go],
+            [report.counters.forbidden, report.counters.malformed, report.counters.odd, report.counters.released],
             [0; 4]
         );
         let text = report.to_string();
@@ -233,7 +233,7 @@ fn suffer(typed: &[Typed]) {
     for (line, end, state, keeps_cause) in typed {
         assert!(moved_by(&rig, &mut arm, 0.01) >= 0.01, "before {line}");
         let at = rig.fault(line);
-        let until = Instant::now() + PATIENCE;
+        let until = Instant::now() + TIMEOUT;
         while arm.state() == ArmState::Enabled && Instant::now() < until {
             arm.exchange(JointCommand::Velocity(JointVector::repeat(0.1))).ok();
         }
@@ -246,7 +246,7 @@ fn suffer(typed: &[Typed]) {
         assert!(!keeps_cause || arm.reset().is_err(), "{line}: the cause is there");
         rig.fault(end);
         std::thread::sleep(Duration::from_millis(250));
-        let until = Instant::now() + PATIENCE;
+        let until = Instant::now() + TIMEOUT;
         while let Err(error) = arm.reset().and_then(|()| arm.enable()) {
             assert!(Instant::now() < until, "{line}: {error}");
         }
@@ -279,7 +279,7 @@ fn clocks_that_jump_never_leave_an_arm_moving_by_itself() {
             }
             assert!(wait_for(|| rig.server.report().is_braked), "{jump}: {state:?}");
             println!("{jump}: {state:?}, at rest after {:?}", rig.last_motion(at));
-            let until = Instant::now() + 2 * PATIENCE;
+            let until = Instant::now() + 2 * TIMEOUT;
             while let Err(error) = arm.reset().and_then(|()| arm.enable()) {
                 assert!(Instant::now() < until, "{jump}: {error}");
             }
@@ -310,7 +310,7 @@ fn a_line_that_is_full_holds_no_host_up() {
         let mut arm = rig.enabled(Box::new(Once(Some(Box::new(host)))));
         assert!(moved_by(&rig, &mut arm, 0.01) >= 0.01);
         let at = rig.fault("line slow-reader 0B/s");
-        move_for(&mut arm, PATIENCE);
+        move_for(&mut arm, TIMEOUT);
         assert_eq!(arm.state(), ArmState::Fault);
         assert!(wait_for(|| rig.server.report().is_braked));
         assert!(rig.last_motion(at) < Duration::from_millis(400), "{:?}", rig.last_motion(at));
@@ -318,13 +318,13 @@ fn a_line_that_is_full_holds_no_host_up() {
         let full = wait_for(|| {
             let begin = Instant::now();
             assert!(arm.reset().is_err());
-            assert!(begin.elapsed() < PATIENCE / 2, "{:?}", begin.elapsed());
+            assert!(begin.elapsed() < TIMEOUT / 2, "{:?}", begin.elapsed());
             arm.monitor().snapshot().frames_unsent > 0
         });
         assert!(full, "{:?}", arm.monitor().snapshot());
         assert!(arm.enable().is_err());
         rig.fault("line slow-reader off");
-        let until = Instant::now() + PATIENCE;
+        let until = Instant::now() + TIMEOUT;
         while let Err(error) = arm.reset().and_then(|()| arm.enable()) {
             assert!(Instant::now() < until, "{error}");
         }

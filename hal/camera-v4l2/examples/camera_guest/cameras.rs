@@ -67,8 +67,8 @@ pub fn check(report: &mut Report) {
     report.check("a disconnected camera is detected, and can be reopened", pulled);
     report.check("a second program is refused", second);
     report.check("a user without rights is refused", || {
-        let said = as_user(User::Nobody, &["open"])?;
-        ensure(said.contains("permission denied"), || format!("it said: {said}"))?;
+        let output_text = as_user(User::Nobody, &["open"])?;
+        ensure(output_text.contains("permission denied"), || format!("it said: {output_text}"))?;
         Ok(String::new())
     });
 }
@@ -254,20 +254,20 @@ fn skew() -> Outcome {
         config.right.stamps.delay = Duration::from_millis(delay_millis);
         let mut camera = open_with(&config)?;
         let mut pair = FramePair::black(camera.info().size);
-        let (mut delivered, mut said) = (0, String::new());
+        let (mut delivered, mut output_text) = (0, String::new());
         for _ in 0..30 {
             match next(&mut camera, &mut pair) {
                 Ok(()) => {
                     delivered += 1;
                     ensure(pair.skew_nanos.abs() <= 5_000_000, || format!("a pair {} ns apart", pair.skew_nanos))?;
                 }
-                Err(error) => said = error.to_string(),
+                Err(error) => output_text = error.to_string(),
             }
         }
         let refused = camera.counters().skew_refused;
         if refused >= 25 {
-            ensure(said.contains("at most 5.0 ms is allowed"), || said.clone())?;
-            return Ok(format!("{refused} of 30 refused, {delivered} within the limit; {said}"));
+            ensure(output_text.contains("at most 5.0 ms is allowed"), || output_text.clone())?;
+            return Ok(format!("{refused} of 30 refused, {delivered} within the limit; {output_text}"));
         }
     }
     Err("for every offset the right camera was within 5 ms of the left camera".into())

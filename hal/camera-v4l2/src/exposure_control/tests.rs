@@ -18,7 +18,7 @@ fn grey(grey: f64) -> [Brightness; 2] {
 }
 
 /// A scene in front of cameras with a gamma curve: the grey level for an exposure.
-fn seen(light: f64, exposure: ExposureUnits, gamma: f64) -> f64 {
+fn brightness_of(light: f64, exposure: ExposureUnits, gamma: f64) -> f64 {
     let gain = 1.0 + f64::from(exposure.gain.unwrap_or(0)) / 64.0;
     (255.0 * (light * f64::from(exposure.time) * gain).powf(1.0 / gamma)).min(255.0)
 }
@@ -34,7 +34,7 @@ fn run(
     let (mut changes, mut last) = (Vec::new(), 0.0);
     for number in 0..(seconds * 30.0) as u32 {
         let now_s = f64::from(number) / 30.0;
-        last = seen(light(now_s), exposure, gamma);
+        last = brightness_of(light(now_s), exposure, gamma);
         if let Some((next, _)) = controller.observe((at(now_s), following(now_s)), grey(last), exposure) {
             controller.changed(at(now_s));
             exposure = next;

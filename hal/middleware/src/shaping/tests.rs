@@ -15,20 +15,23 @@ fn drives() -> DriveLimits {
 }
 
 /// In the middle of ranges of 100 rad.
-fn much_room() -> Room {
+fn much_room() -> StopDistance {
     let none = JointVector::zeros();
-    Room { to_ends: [JointVector::repeat(100.0); 2], peaks: [none; 2], reaction_s: 0.1 }
+    StopDistance { to_ends: [JointVector::repeat(100.0); 2], peaks: [none; 2], reaction_s: 0.1 }
 }
 
-fn room_at(position: &JointVector) -> Room {
+fn room_at(position: &JointVector) -> StopDistance {
     let limits = limits();
-    Room { to_ends: [position - limits.position_min_rad(), limits.position_max_rad() - position], ..much_room() }
+    StopDistance {
+        to_ends: [position - limits.position_min_rad(), limits.position_max_rad() - position],
+        ..much_room()
+    }
 }
 
 struct Bench {
     previous: SetPoint,
     drives: DriveLimits,
-    caps: Caps,
+    caps: SpeedCaps,
 }
 
 fn speeds(share: f64) -> JointVector {
@@ -42,10 +45,10 @@ impl Bench {
         Self { previous: SetPoint { velocity, ..SetPoint::rest() }, drives, caps }
     }
 
-    fn shape(&self, desired: &JointVector, dt_s: f64, room: Option<&Room>) -> Shaped {
+    fn shape(&self, desired: &JointVector, dt_s: f64, stop_distance: Option<&StopDistance>) -> Shaped {
         let speeds = speeds(0.5);
-        let step = Step { previous: &self.previous, dt_s, drives: &self.drives, speeds: &speeds };
-        shape(desired, &self.caps, &step, room)
+        let step = CycleInput { previous: &self.previous, dt_s, drives: &self.drives, speeds: &speeds };
+        shape(desired, &self.caps, &step, stop_distance)
     }
 }
 
@@ -56,10 +59,11 @@ fn a_joint_that_is_gaining_speed_needs_room_for_it() {
     let drive = DriveLimit { acceleration: 2.0, jerk: 20.0 };
     let joint =
         |upwards: f64| JointStep { velocity: 0.5 * upwards, acceleration: 2.0 * upwards, dt_s: 0.0, drive, speed: 1.0 };
-    let room = |way_rad: f64| Room { to_ends: [JointVector::repeat(way_rad); 2], reaction_s: 0.0, ..much_room() };
+    let stop_distance =
+        |way_rad: f64| StopDistance { to_ends: [JointVector::repeat(way_rad); 2], reaction_s: 0.0, ..much_room() };
     for (side, upwards) in [(0, -1.0), (1, 1.0)] {
-        assert!(joint(upwards).has_room(&room(0.177), 4, side, 0.5), "{side}");
-        assert!(!joint(upwards).has_room(&room(0.176), 4, side, 0.5), "{side}");
+        assert!(joint(upwards).has_room(&stop_distance(0.177), 4, side, 0.5), "{side}");
+        assert!(!joint(upwards).has_room(&stop_distance(0.176), 4, side, 0.5), "{side}");
     }
 }
 
@@ -171,9 +175,9 @@ proptest! {
         let mut previous = SetPoint::rest();
         for (desired, position, dt_s, is_known) in requests {
             let caps = caps(&position, &limits, &speeds, &drives, reaction);
-            let step = Step { previous: &previous, dt_s, drives: &drives, speeds: &speeds };
-            let room = room_at(&position);
-            let SetPoint { velocity, acceleration } = shape(&desired, &caps, &step, is_known.then_some(&room)).set_point;
+            let step = CycleInput { previous: &previous, dt_s, drives: &drives, speeds: &speeds };
+            let stop_distance = room_at(&position);
+            let SetPoint { velocity, acceleration } = shape(&desired, &caps, &step, is_known.then_some(&stop_distance)).set_point;
             for i in 0..DOF {
                 prop_assert!(velocity[i].abs() <= speeds[i], "joint {i}: {velocity}");
                 let change = velocity[i] - previous.velocity[i];

@@ -129,7 +129,7 @@ pub type Tamper = Box<dyn FnMut(&mut JointState) + Send>;
 /// Records the commands of an arm, and changes its answers.
 pub struct Tampered {
     pub arm: MockArm,
-    pub told: Arc<Mutex<Vec<JointCommand>>>,
+    pub commanded: Arc<Mutex<Vec<JointCommand>>>,
     pub tamper: Arc<Mutex<Option<Tamper>>>,
 }
 
@@ -139,7 +139,7 @@ impl Arm for Tampered {
     }
 
     fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
-        self.told.lock().unwrap().push(command);
+        self.commanded.lock().unwrap().push(command);
         let mut sample = self.arm.exchange(command)?;
         if let Some(tamper) = self.tamper.lock().unwrap().as_mut() {
             tamper(&mut sample);

@@ -118,7 +118,7 @@ fn speed(
         true => step.t_s - *disobeyed.too_fast_since_s.get_or_insert(step.t_s),
         false => f64::INFINITY,
     };
-    let allowed_s = if truth.commands_disturbed { rules.too_fast_s + rules.unseen_s } else { rules.too_fast_s };
+    let allowed_s = if truth.commands_disturbed { rules.too_fast_s + rules.unobserved_s } else { rules.too_fast_s };
     if lasts_s >= allowed_s {
         let place = Place { invariant: Invariant::Speed, arm: Some(arm), joint: Some(joint), t_s: step.t_s };
         found.push(place, (value, limit), if by_itself { format!("for {lasts_s:.3} s") } else { String::new() });

@@ -6,24 +6,24 @@ use super::{Found, Invariant, Place};
 
 pub(super) fn check(rules: &Rules, steps: &[Step], found: &mut Found) {
     for arm in 0..2 {
-        let told_s = |step: &Step| match step.arms[arm].latched_since_s {
+        let commanded_s = |step: &Step| match step.arms[arm].latched_since_s {
             Some(_) => 0.0,
-            None => rules.told_other_s,
+            None => rules.commanded_other_s,
         };
         let latched = |step: &Step| step.arms.iter().any(|arm| arm.latched_since_s.is_some());
         let silent = |step: &Step| !step.arms[arm].may_go;
         let blind = |step: &Step| arm == HAND_ARM && step.pose_age_s > rules.pose_age_max_s && !step.may_search;
         let inhibited = |step: &Step| arm == HAND_ARM && step.is_inhibited;
-        let [mut latch, mut word, mut pose, mut condition] = [
+        let [mut latch, mut command, mut pose, mut condition] = [
             Invariant::RestAfterLatch,
-            Invariant::RestWithoutWord,
+            Invariant::HoldWithoutCommand,
             Invariant::RestWithoutPose,
             Invariant::RestWhileInhibited,
         ]
         .map(|invariant| MustRest::new(invariant, arm));
         for step in steps {
-            latch.look(rules, step, latched(step).then(|| told_s(step)), found);
-            word.look(rules, step, silent(step).then_some(0.0), found);
+            latch.look(rules, step, latched(step).then(|| commanded_s(step)), found);
+            command.look(rules, step, silent(step).then_some(0.0), found);
             pose.look(rules, step, blind(step).then_some(0.0), found);
             condition.look(rules, step, inhibited(step).then_some(0.0), found);
         }
@@ -83,15 +83,15 @@ impl MustRest {
         // The latch ends the exceptions for a joint that moves by itself, and for one that only its brake can stop: it determines how
         // long the joint may fall.
         let obeys = truth.driven[joint] && !truth.disobeys[joint];
-        let heard_s = reason.filter(|_| obeys || self.invariant == Invariant::RestAfterLatch);
-        let Some(heard_s) = heard_s else {
+        let heartbeat_s = reason.filter(|_| obeys || self.invariant == Invariant::RestAfterLatch);
+        let Some(heartbeat_s) = heartbeat_s else {
             self.joints[joint] = None;
             return;
         };
         let speed = truth.velocity_rad_per_s[joint];
         let (from_s, rested_rad) = self.joints[joint].get_or_insert_with(|| {
             let within_s = rules.arms[self.arm].rests_within_s(joint, speed, rules.rest_rad_per_s);
-            (step.t_s + heard_s + rules.cycle_s + within_s, None)
+            (step.t_s + heartbeat_s + rules.cycle_s + within_s, None)
         });
         if step.t_s <= *from_s {
             return;

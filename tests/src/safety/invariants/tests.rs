@@ -110,8 +110,8 @@ fn a_joint_beyond_its_range_is_found() {
     // E2 works to 249 degrees; a tolerance of 0.2 degrees is allowed.
     let far = |degrees: f64| move |step: &mut Step| step.arms[TARGET_ARM].position_rad[4] = degrees.to_radians();
     silent(&run(1.0, always, far(249.1)));
-    let seen = only(Invariant::Position, &run(1.0, always, far(249.3)));
-    assert_eq!((seen.arm, seen.joint, seen.steps), (Some(TARGET_ARM), Some(4), 500));
+    let violation = only(Invariant::Position, &run(1.0, always, far(249.3)));
+    assert_eq!((violation.arm, violation.joint, violation.steps), (Some(TARGET_ARM), Some(4), 500));
     // A joint without drive may coast, but not through its stops.
     let free = |degrees: f64| {
         move |step: &mut Step| {
@@ -137,7 +137,7 @@ fn a_joint_beyond_its_range_is_found() {
     };
     let first_s = |truth: &Truth| {
         let found = found_in(truth);
-        found.iter().find(|seen| seen.invariant == Invariant::Position).map(|seen| seen.first_s)
+        found.iter().find(|violation| violation.invariant == Invariant::Position).map(|violation| violation.first_s)
     };
     assert_eq!(first_s(&disobeyed(2.0, 2.0)), None);
     assert_eq!(first_s(&disobeyed(0.5, 2.0)), None);
@@ -153,8 +153,8 @@ fn a_joint_that_is_too_fast_or_jumps_is_found() {
         })
     };
     silent(&fast(1.2));
-    let seen = only(Invariant::Speed, &fast(1.23));
-    assert_eq!((seen.arm, seen.joint), (Some(HAND_ARM), Some(3)));
+    let violation = only(Invariant::Speed, &fast(1.23));
+    assert_eq!((violation.arm, violation.joint), (Some(HAND_ARM), Some(3)));
     let jump = run(1.0, always, |step| step.arms[HAND_ARM].position_rad[3] -= if step.t_s > 0.5 { 0.01 } else { 0.0 });
     assert!((only(Invariant::Speed, &jump).value - 5.0).abs() < 0.1);
 }
@@ -177,8 +177,8 @@ fn a_joint_that_runs_away_may_be_too_fast_for_a_moment() {
         })
     };
     silent(&runs_away(0.7, 1, 0.778));
-    let seen = only(Invariant::Speed, &runs_away(0.7, 1, 0.83));
-    assert!((0.778..0.784).contains(&seen.first_s) && seen.note.starts_with("for 0.0"), "{seen}");
+    let violation = only(Invariant::Speed, &runs_away(0.7, 1, 0.83));
+    assert!((0.778..0.784).contains(&violation.first_s) && violation.note.starts_with("for 0.0"), "{violation}");
     // Samples that are repeated, or a late control loop, hide it for up to 0.1 s more.
     let hidden = |stopped_at_s: f64| {
         let mut truth = runs_away(0.7, 1, stopped_at_s);
@@ -191,9 +191,9 @@ fn a_joint_that_runs_away_may_be_too_fast_for_a_moment() {
     silent(&runs_away(0.655, 1, 1.0));
     // The arm's other joints have no tolerance.
     let found = found_in(&runs_away(0.7, 0, 0.778));
-    let seen = found.iter().find(|seen| seen.invariant == Invariant::Speed).expect("too fast");
-    assert!(seen.first_s < 0.71 && seen.joint == Some(0), "{seen}");
-    assert!(found.iter().any(|seen| seen.invariant == Invariant::Acceleration), "{found:?}");
+    let violation = found.iter().find(|violation| violation.invariant == Invariant::Speed).expect("too fast");
+    assert!(violation.first_s < 0.71 && violation.joint == Some(0), "{violation}");
+    assert!(found.iter().any(|violation| violation.invariant == Invariant::Acceleration), "{found:?}");
 }
 
 /// S3 follows speeds that are commanded every 10 ms with the lag of its drive: they change at this rate from 0.5 s on, which grows by
@@ -226,20 +226,20 @@ fn commanded(rate: f64, jerk: f64, change: impl Fn(&mut ArmTruth)) -> Truth {
 fn acceleration_beyond_the_limit_is_found_in_ramps_and_in_jumps() {
     silent(&commanded(2.0, 80.0, |_| ()));
     let found = found_in(&commanded(2.8, 80.0, |_| ()));
-    let seen = found.iter().find(|seen| seen.invariant == Invariant::Acceleration).expect("too steep");
-    assert!(seen.note.contains("20 ms") || seen.note.contains("100 ms"), "{seen}");
-    assert_eq!(seen.joint, Some(2));
+    let violation = found.iter().find(|violation| violation.invariant == Invariant::Acceleration).expect("too steep");
+    assert!(violation.note.contains("20 ms") || violation.note.contains("100 ms"), "{violation}");
+    assert_eq!(violation.joint, Some(2));
     // If commands were lost, the next one contains the difference of up to two more cycles.
     let disturbed = |rate: f64| commanded(rate, 80.0, |arm| arm.commands_disturbed = true);
     silent(&disturbed(2.3));
-    let seen = only(Invariant::Acceleration, &disturbed(2.8));
-    assert!(seen.note.contains("100 ms"), "{seen}");
+    let violation = only(Invariant::Acceleration, &disturbed(2.8));
+    assert!(violation.note.contains("100 ms"), "{violation}");
 }
 
 #[test]
 fn jerk_beyond_the_limit_is_found_unless_the_driver_brakes_the_arm() {
-    let seen = only(Invariant::Jerk, &commanded(2.0, 120.0, |_| ()));
-    assert!(seen.joint == Some(2) && (1.0..1.3).contains(&seen.value), "{seen}");
+    let violation = only(Invariant::Jerk, &commanded(2.0, 120.0, |_| ()));
+    assert!(violation.joint == Some(2) && (1.0..1.3).contains(&violation.value), "{violation}");
     only(Invariant::Jerk, &commanded(2.0, 1e3, |_| ()));
     silent(&commanded(2.0, 1e3, |arm| arm.ramps = true));
     silent(&commanded(2.0, 1e3, |arm| arm.commands_disturbed = true));
@@ -261,7 +261,7 @@ fn motion_after_a_latched_fault_of_either_arm_is_found() {
     // It brakes half a second too late.
     let late = |_: usize, t_s: f64| !(2.5..5.0).contains(&t_s);
     let found = found_in(&run(7.0, late, latched));
-    assert!(found.iter().any(|seen| seen.invariant == Invariant::RestAfterLatch), "{found:?}");
+    assert!(found.iter().any(|violation| violation.invariant == Invariant::RestAfterLatch), "{found:?}");
     // It creeps.
     let mut crept_rad = 0.0;
     let truth = run(7.0, rests_from_2_to_5, |step| {
@@ -270,8 +270,8 @@ fn motion_after_a_latched_fault_of_either_arm_is_found() {
         step.arms[HAND_ARM].position_rad[1] += crept_rad;
         step.arms[HAND_ARM].may_go = true;
     });
-    let seen = only(Invariant::RestAfterLatch, &truth);
-    assert!(seen.note.contains("crept") && seen.joint == Some(1), "{seen}");
+    let violation = only(Invariant::RestAfterLatch, &truth);
+    assert!(violation.note.contains("crept") && violation.joint == Some(1), "{violation}");
 }
 
 #[test]
@@ -284,18 +284,18 @@ fn a_latch_that_goes_by_itself_is_found() {
 }
 
 #[test]
-fn motion_before_the_operators_word_is_found() {
+fn motion_before_the_operators_command_is_found() {
     let truth = run(7.0, |_, t_s| !(2.0..4.5).contains(&t_s), latched);
-    let seen = only(Invariant::RestWithoutWord, &truth);
-    assert!((seen.first_s - 4.5).abs() < 0.01, "{seen}");
+    let violation = only(Invariant::HoldWithoutCommand, &truth);
+    assert!((violation.first_s - 4.5).abs() < 0.01, "{violation}");
 }
 
 #[test]
 fn motion_without_a_fresh_pose_is_found_of_the_hand_alone() {
     let blind = |step: &mut Step| step.pose_age_s = 0.05 + (step.t_s - 1.0).max(0.0);
-    let seen = only(Invariant::RestWithoutPose, &run(4.0, always, blind));
-    assert_eq!(seen.arm, Some(HAND_ARM));
-    assert!((1.26..2.0).contains(&seen.first_s), "{seen}");
+    let violation = only(Invariant::RestWithoutPose, &run(4.0, always, blind));
+    assert_eq!(violation.arm, Some(HAND_ARM));
+    assert!((1.26..2.0).contains(&violation.first_s), "{violation}");
     let never = |step: &mut Step| step.pose_age_s = f64::INFINITY;
     only(Invariant::RestWithoutPose, &run(4.0, always, never));
 }
@@ -368,18 +368,20 @@ fn a_joint_that_moves_by_itself_has_to_be_stopped() {
     };
     let stopped = |truth: &Truth| {
         let found = found_in(truth);
-        found.iter().all(|seen| seen.arm == Some(TARGET_ARM))
+        found.iter().all(|violation| violation.arm == Some(TARGET_ARM))
     };
     assert!(stopped(&by_itself(2.5)));
     let found = found_in(&by_itself(4.0));
-    assert!(found.iter().any(|seen| (seen.invariant, seen.arm) == (Invariant::Disobedience, Some(HAND_ARM))));
+    assert!(
+        found.iter().any(|violation| (violation.invariant, violation.arm) == (Invariant::Disobedience, Some(HAND_ARM)))
+    );
     // A stuck joint, axis 4, does not move.
     let mut stuck = by_itself(4.0);
     for step in &mut stuck.steps {
         let arm = &mut step.arms[HAND_ARM];
         arm.by_itself = [false, false, false, arm.disobeys[0], false, false, false];
     }
-    assert!(found_in(&stuck).iter().all(|seen| seen.invariant != Invariant::Disobedience));
+    assert!(found_in(&stuck).iter().all(|violation| violation.invariant != Invariant::Disobedience));
 }
 
 #[test]
@@ -398,8 +400,8 @@ fn arms_that_come_too_near_are_found() {
         )
     };
     silent(&stretch(0.1));
-    let seen = only(Invariant::ArmsApart, &stretch(0.6));
-    assert!(seen.value < 0.049 && seen.arm.is_none(), "{seen}");
+    let violation = only(Invariant::ArmsApart, &stretch(0.6));
+    assert!(violation.value < 0.049 && violation.arm.is_none(), "{violation}");
 }
 
 #[test]
@@ -416,13 +418,13 @@ fn a_hand_that_goes_nearer_than_the_target_allows_is_found_and_a_target_that_com
             step.world_from_target.translation_m = [-0.3, 0.0, 0.5];
         },
     );
-    let seen = only(Invariant::TargetApart, &leans);
-    assert!(seen.value > seen.limit && seen.note.contains("remain"), "{seen}");
+    let violation = only(Invariant::TargetApart, &leans);
+    assert!(violation.value > violation.limit && violation.note.contains("remain"), "{violation}");
 }
 
 /// The hand comes down on a target that is too near to be seen. It may do so until its last pose is too old.
 #[test]
-fn a_hand_that_follows_a_target_too_near_to_be_seen_is_found_once_its_pose_is_too_old() {
+fn following_a_target_that_is_too_near_to_be_visible_is_found_once_its_pose_is_too_old() {
     let follows = |for_s: f64| {
         run(
             2.0,
@@ -438,23 +440,23 @@ fn a_hand_that_follows_a_target_too_near_to_be_seen_is_found_once_its_pose_is_to
         )
     };
     silent(&follows(0.6));
-    let seen = only(Invariant::TargetApart, &follows(1.2));
-    assert!(seen.limit < 0.1 && (0.8..1.0).contains(&seen.first_s), "{seen}");
+    let violation = only(Invariant::TargetApart, &follows(1.2));
+    assert!(violation.limit < 0.1 && (0.8..1.0).contains(&violation.first_s), "{violation}");
 }
 
 #[test]
-fn a_fault_that_nobody_told_of_is_found() {
+fn an_unreported_fault_is_found() {
     let mut truth = run(4.0, always, |_| ());
     let fault = |name: &str, had_effect| Injected {
         name: name.to_owned(),
         from_s: 1.0,
         until_s: 1.5,
         had_effect,
-        words: &["frozen", "the same image"],
+        log_terms: &["frozen", "the same image"],
     };
     truth.injected = vec![fault("frozen camera", true), fault("nothing came of it", false)];
-    let seen = only(Invariant::Log, &truth);
-    assert!(seen.note.contains("frozen camera"), "{seen}");
+    let violation = only(Invariant::Log, &truth);
+    assert!(violation.note.contains("frozen camera"), "{violation}");
     let line = |t_millis, text: &str| LogLine { t_millis, text: text.to_owned() };
     truth.log = vec![line(900, "the same image"), line(1200, "holding: something else"), line(2800, "frozen")];
     only(Invariant::Log, &truth);
@@ -467,8 +469,8 @@ fn an_arm_that_rests_without_a_reason_is_found() {
     let truth = run(1.0, always, |step| {
         (step.state, step.says_why) = if step.t_s < 0.5 { ("tracking", false) } else { ("holding", false) };
     });
-    let seen = only(Invariant::StatusLine, &truth);
-    assert_eq!((seen.steps, seen.note.as_str()), (250, "holding"));
+    let violation = only(Invariant::StatusLine, &truth);
+    assert_eq!((violation.steps, violation.note.as_str()), (250, "holding"));
 }
 
 #[test]
@@ -496,8 +498,8 @@ fn the_other_joints_of_an_arm_that_disobeys_are_found() {
         )
     };
     silent(&held(0));
-    let seen = only(Invariant::RestWithoutWord, &held(5));
-    assert_eq!(seen.joint, Some(5));
+    let violation = only(Invariant::HoldWithoutCommand, &held(5));
+    assert_eq!(violation.joint, Some(5));
 }
 
 /// E2 was driven out of its range, and obeys again from 0.5 s on: it may stay there and come back, but not go on.
@@ -517,7 +519,10 @@ fn a_joint_that_goes_on_outwards_after_a_disobedience_is_found() {
     silent(&out(0.0));
     silent(&out(-2.0));
     let found = found_in(&out(1.0));
-    assert!(found.iter().any(|seen| (seen.invariant, seen.joint) == (Invariant::Position, Some(4))), "{found:?}");
+    assert!(
+        found.iter().any(|violation| (violation.invariant, violation.joint) == (Invariant::Position, Some(4))),
+        "{found:?}"
+    );
     // Another joint that disobeys excuses nothing.
     let other = run(
         1.0,

@@ -93,7 +93,7 @@ impl Conditions {
         self.take(now_s);
         let age_s = |at_s: f64| now_s - at_s;
         let above = |value: f64, limit: f64| value > limit + ROUNDING_S;
-        self.is_silent = moment.heard_s.is_none_or(|heard_s| above(age_s(heard_s), SILENCE_S));
+        self.is_silent = moment.heartbeat_s.is_none_or(|heartbeat_s| above(age_s(heartbeat_s), SILENCE_S));
         self.is_disabled = moment.disabled_s > DISABLED_S;
         let frame_age_s = self.newest.map_or(f64::INFINITY, |pair| age_s(pair.exposed_s));
         self.is_stale = above(age_s(self.confident_s), POSE_AGE_S) || above(frame_age_s, FRAME_AGE_S);

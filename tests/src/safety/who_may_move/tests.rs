@@ -13,7 +13,7 @@ struct Cell {
     pair: Pair,
     late_s: f64,
     hears: bool,
-    heard_s: f64,
+    heartbeat_s: f64,
     disabled_s: f64,
     count: u64,
 }
@@ -30,8 +30,8 @@ impl Cell {
             sigma: [0.001; 2],
         };
         let model = WhoMayMove::new(has_person, 10.0);
-        let (t_s, shown_s, heard_s, disabled_s, count) = (0.0, 0.0, 0.0, 0.0, 0);
-        Self { model, t_s, shown_s, pairs: true, pair, late_s: 0.0, hears: true, heard_s, disabled_s, count }
+        let (t_s, shown_s, heartbeat_s, disabled_s, count) = (0.0, 0.0, 0.0, 0.0, 0);
+        Self { model, t_s, shown_s, pairs: true, pair, late_s: 0.0, hears: true, heartbeat_s, disabled_s, count }
     }
 
     fn step(&mut self) {
@@ -42,10 +42,10 @@ impl Cell {
             self.model.saw(self.pair);
         }
         if self.hears {
-            self.heard_s = now_s;
+            self.heartbeat_s = now_s;
         }
-        let heard_s = Some(self.heard_s);
-        self.model.stepped(&Moment { now_s, true_s: self.t_s, heard_s, disabled_s: self.disabled_s });
+        let heartbeat_s = Some(self.heartbeat_s);
+        self.model.stepped(&Moment { now_s, true_s: self.t_s, heartbeat_s, disabled_s: self.disabled_s });
     }
 
     fn run(&mut self, seconds: f64) {
@@ -54,12 +54,12 @@ impl Cell {
         }
     }
 
-    fn say(&mut self, word: Word) {
-        self.say_late(word, 0.0);
+    fn say(&mut self, command: Command) {
+        self.say_late(command, 0.0);
     }
 
-    fn say_late(&mut self, word: Word, late_s: f64) {
-        self.model.said(word, self.t_s + 0.01 + self.shown_s - late_s);
+    fn say_late(&mut self, command: Command, late_s: f64) {
+        self.model.commanded(command, self.t_s + 0.01 + self.shown_s - late_s);
         self.step();
     }
 
@@ -73,9 +73,9 @@ impl Cell {
     fn going() -> Self {
         let mut cell = Self::new(true);
         cell.run(0.5);
-        cell.say(Word::Select);
+        cell.say(Command::Select);
         cell.run(0.5);
-        cell.say(Word::Start);
+        cell.say(Command::Start);
         assert_eq!(cell.may(), [true; 2]);
         cell
     }
@@ -84,13 +84,13 @@ impl Cell {
 #[test]
 fn nothing_moves_before_the_start_and_select_alone_starts_nothing() {
     let mut cell = Cell::new(true);
-    for word in [Word::Start, Word::Resume, Word::Reset, Word::Select, Word::Resume] {
+    for command in [Command::Start, Command::Resume, Command::Reset, Command::Select, Command::Resume] {
         cell.run(0.5);
-        cell.say(word);
-        assert_eq!(cell.may(), [false; 2], "{word:?}");
+        cell.say(command);
+        assert_eq!(cell.may(), [false; 2], "{command:?}");
     }
     cell.run(0.5);
-    cell.say(Word::Start);
+    cell.say(Command::Start);
     assert_eq!(cell.may(), [true; 2]);
     // Without a person the target arm follows its path from the beginning.
     assert_eq!(Cell::new(false).may(), [false, true]);
@@ -100,12 +100,12 @@ fn nothing_moves_before_the_start_and_select_alone_starts_nothing() {
 fn a_start_needs_poses_of_the_selected_target_for_some_time() {
     let mut cell = Cell::new(true);
     cell.run(0.5);
-    cell.say(Word::Select);
+    cell.say(Command::Select);
     cell.run(0.15);
-    cell.say(Word::Start);
+    cell.say(Command::Start);
     assert!(!cell.may()[0]);
     cell.run(0.5);
-    cell.say(Word::Start);
+    cell.say(Command::Start);
     assert!(cell.may()[0]);
 }
 
@@ -113,9 +113,9 @@ fn a_start_needs_poses_of_the_selected_target_for_some_time() {
 fn a_refused_command_has_no_effect() {
     let mut cell = Cell::new(true);
     cell.run(0.5);
-    cell.say(Word::Select);
+    cell.say(Command::Select);
     cell.run(0.5);
-    cell.model.said(Word::Start, cell.t_s);
+    cell.model.commanded(Command::Start, cell.t_s);
     cell.model.refused();
     cell.step();
     assert_eq!(cell.may(), [false; 2]);
@@ -123,23 +123,23 @@ fn a_refused_command_has_no_effect() {
 
 #[test]
 fn hold_holds_both_arms_and_hold_hand_one() {
-    for (word, target) in [(Word::Hold, false), (Word::HoldHand, true)] {
+    for (command, target) in [(Command::Hold, false), (Command::HoldHand, true)] {
         let mut cell = Cell::going();
-        cell.say(word);
-        assert_eq!(cell.may(), [false, target], "{word:?}");
+        cell.say(command);
+        assert_eq!(cell.may(), [false, target], "{command:?}");
         cell.run(2.0);
-        assert_eq!(cell.may(), [false, target], "{word:?}");
-        cell.say(Word::Start);
+        assert_eq!(cell.may(), [false, target], "{command:?}");
+        cell.say(Command::Start);
         assert_eq!(cell.may(), [false, target], "a start needs a selection");
-        cell.say(Word::Resume);
+        cell.say(Command::Resume);
         assert_eq!(cell.may(), [true; 2]);
     }
     // `hold hand` after `hold` releases nothing, and neither does a selection.
     let mut cell = Cell::going();
-    cell.say(Word::Hold);
-    cell.say(Word::HoldHand);
+    cell.say(Command::Hold);
+    cell.say(Command::HoldHand);
     assert_eq!(cell.may(), [false; 2]);
-    cell.say(Word::Select);
+    cell.say(Command::Select);
     cell.run(1.0);
     assert_eq!(cell.may(), [false; 2]);
 }
@@ -147,33 +147,33 @@ fn hold_holds_both_arms_and_hold_hand_one() {
 #[test]
 fn a_command_that_is_late_or_older_than_the_hold_has_no_effect() {
     let mut cell = Cell::going();
-    cell.say(Word::Hold);
+    cell.say(Command::Hold);
     cell.run(0.3);
-    cell.say_late(Word::Resume, 0.35);
+    cell.say_late(Command::Resume, 0.35);
     assert!(!cell.may()[0], "given before the hold");
     cell.run(2.0);
-    cell.say_late(Word::Resume, 0.55);
+    cell.say_late(Command::Resume, 0.55);
     assert!(!cell.may()[0], "too old");
-    cell.say_late(Word::Resume, 0.45);
+    cell.say_late(Command::Resume, 0.45);
     assert!(cell.may()[0]);
 }
 
 #[test]
 fn after_a_stop_reset_select_and_start_must_follow() {
     let mut cell = Cell::going();
-    cell.say(Word::Stop);
-    for word in [Word::Resume, Word::Select, Word::Start, Word::Reset, Word::Start, Word::Select] {
+    cell.say(Command::Stop);
+    for command in [Command::Resume, Command::Select, Command::Start, Command::Reset, Command::Start, Command::Select] {
         cell.run(0.5);
-        cell.say(word);
-        assert_eq!(cell.may(), [false; 2], "{word:?}");
+        cell.say(command);
+        assert_eq!(cell.may(), [false; 2], "{command:?}");
     }
     assert_eq!(cell.model.resets(), 1);
     cell.run(0.5);
-    cell.say(Word::Start);
+    cell.say(Command::Start);
     assert_eq!(cell.may(), [true; 2]);
     cell.model.latched();
     assert_eq!((cell.may(), cell.model.is_latched()), ([false; 2], true));
-    cell.say(Word::Resume);
+    cell.say(Command::Resume);
     assert_eq!(cell.may(), [false; 2]);
 }
 
@@ -204,7 +204,7 @@ fn after_a_step_of_the_clock_and_disabled_drives_both_arms_wait_for_the_operator
         (cell.disabled_s, cell.shown_s) = (0.0, 0.0);
         cell.run(2.0);
         assert_eq!(cell.may(), [false; 2]);
-        cell.say(Word::Resume);
+        cell.say(Command::Resume);
         assert_eq!(cell.may(), [true; 2]);
     }
     let mut cell = Cell::going();
@@ -214,7 +214,7 @@ fn after_a_step_of_the_clock_and_disabled_drives_both_arms_wait_for_the_operator
     // The clock stays behind the measurements.
     cell.shown_s = -0.3;
     cell.run(2.0);
-    cell.say(Word::Resume);
+    cell.say(Command::Resume);
     assert_eq!(cell.may(), [false; 2]);
 }
 
@@ -224,22 +224,22 @@ fn another_target_is_followed_only_after_a_command() {
     cell.pair.target = 2;
     cell.run(0.5);
     assert_eq!(cell.may(), [false, true]);
-    cell.say(Word::Resume);
+    cell.say(Command::Resume);
     assert_eq!(cell.may(), [false, true], "the other target is still followed");
     cell.pair.target = 1;
     cell.run(0.5);
     assert_eq!(cell.may(), [false, true], "nothing resumes by itself");
-    cell.say(Word::Resume);
+    cell.say(Command::Resume);
     assert_eq!(cell.may(), [true; 2]);
     // A start that was given while another target was followed.
-    cell.say(Word::Hold);
-    cell.say(Word::Select);
+    cell.say(Command::Hold);
+    cell.say(Command::Select);
     cell.run(1.0);
     cell.pair.target = 3;
     cell.run(0.25);
-    cell.say_late(Word::Start, 0.4);
+    cell.say_late(Command::Start, 0.4);
     assert!(!cell.may()[0]);
-    cell.say(Word::Start);
+    cell.say(Command::Start);
     assert_eq!((cell.may()[0], cell.model.started()), (true, Some(3)));
 }
 
@@ -285,7 +285,7 @@ fn a_hand_searches_once_for_some_time_and_not_while_it_is_held() {
     cell.run(10.0);
     assert!(!cell.model.may_search(cell.t_s));
     let mut cell = Cell::going();
-    cell.say(Word::HoldHand);
+    cell.say(Command::HoldHand);
     cell.pairs = false;
     cell.run(2.0);
     assert!(!cell.model.may_search(cell.t_s));
@@ -385,30 +385,30 @@ fn another_condition_or_a_command_makes_a_stall_a_hold() {
         over(&mut cell);
         assert!(!cell.may()[0], "{name}");
     }
-    for word in [Word::Hold, Word::HoldHand, Word::Stop] {
+    for command in [Command::Hold, Command::HoldHand, Command::Stop] {
         let mut cell = stalled();
-        cell.say(word);
+        cell.say(command);
         over(&mut cell);
         cell.run(2.0);
-        assert!(!cell.may()[0], "{word:?}");
+        assert!(!cell.may()[0], "{command:?}");
     }
 }
 
 /// A line may deliver a command after a later one.
 #[test]
-fn what_was_said_before_a_later_hold_or_stop_permits_nothing() {
+fn commands_given_before_a_later_hold_or_stop_permit_nothing() {
     let mut cell = Cell::going();
-    cell.say(Word::Hold);
+    cell.say(Command::Hold);
     cell.run(0.5);
-    cell.say(Word::HoldHand);
-    cell.say_late(Word::Resume, 0.1);
+    cell.say(Command::HoldHand);
+    cell.say_late(Command::Resume, 0.1);
     assert_eq!(cell.may(), [false; 2]);
-    cell.say(Word::Resume);
+    cell.say(Command::Resume);
     assert_eq!(cell.may(), [true; 2]);
-    cell.say(Word::Stop);
+    cell.say(Command::Stop);
     cell.run(0.5);
-    cell.say(Word::Stop);
-    cell.say_late(Word::Reset, 0.1);
+    cell.say(Command::Stop);
+    cell.say_late(Command::Reset, 0.1);
     assert!(cell.model.is_latched());
 }
 

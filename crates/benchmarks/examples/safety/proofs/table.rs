@@ -114,7 +114,7 @@ pub const PROOFS: &[Proof] = &[
     among(GatewayAlarms, &[DriverAlarms, GuardTracking], CARRIED, EMERGENCY),
     alone(DriverTorque, CARRIED, |_| of_arm("arm: torque", "torque 4 300Nm", "torque 4 0Nm")),
     with_person(OperatorSilent, &[], CARRIED, |_| vec![(0.1, 3.0, Kind::Silence)]),
-    with_person(TimelyWords, &[], CARRIED, |_| {
+    with_person(TimelyCommands, &[], CARRIED, |_| {
         vec![
             (0.1, 0.0, Kind::OperatorCommand(OperatorCommand::Hold, 0.0)),
             (0.6, 0.0, Kind::OperatorCommand(OperatorCommand::Resume, 0.55)),
@@ -137,7 +137,7 @@ pub const ELSEWHERE: [(Safeguard, &str); 7] = [
     (PositionJump, "only the law `published` reports jumps; `crates/servo/tests/supervisor/conditions.rs`"),
     (OrientationJump, "the same"),
     (
-        ClearForWords,
+        ClearForCommands,
         "a command must fall between two outliers, which happens in one run of 1500; `crates/servo/tests/supervisor/settling.rs`",
     ),
     (

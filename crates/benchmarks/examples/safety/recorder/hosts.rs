@@ -77,7 +77,7 @@ impl Recorder {
         self.resets_before += self.permission.resets();
         self.permission = permission_of(&self.scenario);
         (self.ends_at, self.stopped_at, self.has_failed) = (None, None, false);
-        (self.stepped_at, self.heard_at, self.newest) = (now, None, None);
+        (self.stepped_at, self.heartbeat_at, self.newest) = (now, None, None);
         self.exposed.clear();
         self.spoiled.clear();
         (self.state, self.says_why, self.found) = (State::Idle, true, [false; Condition::COUNT]);

@@ -136,7 +136,7 @@ fn of_case(folder: &Path, configs: &[DirectConfig]) -> anyhow::Result<Vec<Outcom
 }
 
 fn answer(case: &Prepared, estimator: &mut DirectEstimator) -> anyhow::Result<Outcome> {
-    let mut request = EstimateRequest::of_target(&case.images.left, &case.images.right, &case.region, &case.range);
+    let mut request = EstimateRequest::new_target(&case.images.left, &case.images.right, &case.region, &case.range);
     let estimate = estimator.answer(&mut request)?;
     let mut outcome = Outcome { status: estimate.status, answer: answer_of(case, &estimate), loss: 0.0 };
     outcome.loss = loss(&outcome.entry(&case.facts, ""));

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use pb3dp_geometry::ImageSize;
 
 use super::*;
-use crate::perception::Marking;
+use crate::perception::TargetSource;
 use crate::selection::Choice;
 
 const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
@@ -21,7 +21,7 @@ struct Selecting {
 impl Selecting {
     fn new() -> Self {
         let selections = Selections::default();
-        selections.set_target_of_setup(&Marking::Region(Region::Click { x: 7, y: 7 }));
+        selections.set_target_of_setup(&TargetSource::Region(Region::Click { x: 7, y: 7 }));
         Self::of(selections)
     }
 
@@ -45,17 +45,17 @@ impl Selecting {
 
     /// A step, with the decision of the supervisor.
     fn step(&mut self, decision: &Decision) -> Option<OperatorCommand> {
-        let said = word(&mut self.console);
+        let request = command(&mut self.console);
         self.console.show(decision);
-        said
+        request
     }
 
     /// Steps until a command is heard.
     fn hears(&mut self) -> OperatorCommand {
         let begin = Instant::now();
         loop {
-            if let Some(said) = self.step(&decision()) {
-                return said;
+            if let Some(request) = self.step(&decision()) {
+                return request;
             }
             assert!(begin.elapsed() < Duration::from_secs(30));
             std::thread::sleep(Duration::from_millis(1));
@@ -105,13 +105,13 @@ fn start_waits_until_the_estimator_has_passed_on_the_selected_target() {
     let mut run = Selecting::new();
     run.types("select rect:400,120,60,50\nstart");
     assert_eq!(run.hears(), OperatorCommand::Select);
-    wait_until(|| !run.console.words.is_empty());
+    wait_until(|| !run.console.commands.is_empty());
     assert_eq!(run.step(&decision()), None);
     run.answers("start refused: the target just selected is still being initialised");
     // The estimation has begun with it.
     assert!(is_at(&run.taken(), 400));
     run.types("start");
-    wait_until(|| !run.console.words.is_empty());
+    wait_until(|| !run.console.commands.is_empty());
     assert_eq!(run.step(&decision()), None);
     // Its first estimate is passed on; the control thread has it one step later.
     assert!(run.taken().is_none());
@@ -126,7 +126,7 @@ fn a_selection_that_hold_overtook_is_answered_and_forgotten() {
         let mut run = Selecting::new();
         run.types(&format!("select rect:400,120,60,50\n{urgent}\nselect rect:100,120,60,50"));
         // All three are read before the first step.
-        wait_until(|| run.console.words.slots() == 2);
+        wait_until(|| run.console.commands.slots() == 2);
         assert_eq!(run.hears().name(), urgent);
         assert_eq!(run.hears(), OperatorCommand::Select);
         run.answers(&format!("select not done: overtaken by {urgent}"));
@@ -162,11 +162,11 @@ fn a_plain_select_chooses_the_target_of_the_setup() {
 fn select_with_a_region_gives_the_target_once_the_supervisor_has_accepted_it() {
     let mut run = Selecting::new();
     let refused = Decision {
-        refused: Some(Refusal { word: OperatorCommand::Select, because: RefusedFor::State(State::Tracking) }),
+        refused: Some(Refusal { command: OperatorCommand::Select, because: RefusedFor::State(State::Tracking) }),
         ..decision()
     };
     run.types("select rect:400,120,60,50");
-    wait_until(|| !run.console.words.is_empty());
+    wait_until(|| !run.console.commands.is_empty());
     assert_eq!(run.step(&refused), Some(OperatorCommand::Select));
     assert!(run.selections.take().is_none(), "the supervisor has refused it");
     run.types("select");
@@ -190,7 +190,7 @@ fn mask(folder: &Path, (width, height): (u32, u32)) -> PathBuf {
 }
 
 #[test]
-fn a_mask_is_read_while_stop_and_hold_are_heard() {
+fn a_mask_is_read_while_stop_and_hold_are_obeyed() {
     let folder = tempfile::tempdir().unwrap();
     let mut run = Selecting::new();
     run.types(&format!("select mask:{}", mask(folder.path(), (640, 480)).display()));
@@ -206,7 +206,7 @@ fn a_mask_is_read_while_stop_and_hold_are_heard() {
 
 /// As long as a mask is being read, only what ends motion is obeyed.
 #[test]
-fn a_mask_that_is_never_read_keeps_no_hold_from_being_heard() {
+fn a_mask_that_is_never_read_delays_no_hold() {
     use OperatorCommand::{Hold, Select};
     let mut run = Selecting::new();
     // A file that does not answer: its thread never ends.

@@ -15,8 +15,8 @@ use super::steps::{BRAKED_MAX_DEG, EXCHANGES, LATE_MAX_MS, LOST_PERCENT_MAX};
 /// # Errors
 /// An arm or an operator that does not answer.
 pub fn run(session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
-    let mut seen = see(&session.setup, session.choice, &session.clock)?;
-    let monitor = seen.arm.monitor();
+    let mut observed = see(&session.setup, session.choice, &session.clock)?;
+    let monitor = observed.arm.monitor();
     let first = monitor.snapshot().joints.context("the arm reported no joints")?.position_rad;
     let mut moved_rad = 0.0_f64;
     // Each call exchanges at least one message, so this loop ends.
@@ -25,7 +25,7 @@ pub fn run(session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
             break;
         }
         session.pause(std::time::Duration::ZERO)?;
-        seen.arm.look()?;
+        observed.arm.look()?;
         let joints = monitor.snapshot().joints.context("the arm reported no joints")?;
         moved_rad = moved_rad.max((joints.position_rad - first).amax());
     }
@@ -42,7 +42,7 @@ pub fn run(session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
     report.at_most("round trip, 99 of 100", trips.p99.as_secs_f64() * 1e3, watchdog_us as f64 / 2e3, "ms");
     report.at_most("commands sent late, 99 of 100", monitor.jitter().p99.as_secs_f64() * 1e3, LATE_MAX_MS, "ms");
     report.at_most("largest motion of a joint", moved_rad.to_degrees(), BRAKED_MAX_DEG, "deg");
-    let velocity = seen.arm.exchange(JointCommand::Velocity(JointVector::zeros()));
+    let velocity = observed.arm.exchange(JointCommand::Velocity(JointVector::zeros()));
     let found = velocity.as_ref().map_or_else(ToString::to_string, |_| "it was accepted".to_owned());
     report.holds("a velocity is refused while the brakes are on", velocity.is_err(), found);
     session.ask(report, &Question::Pose { shown_rad: first })

@@ -16,7 +16,7 @@ use super::operator::{Act, Operator, Question};
 use super::steps::REST_RAD_PER_S;
 
 /// Accuracy with which an operator sees a joint, rad.
-const SEEN_WITHIN_RAD: f64 = 0.01;
+const OBSERVED_WITHIN_RAD: f64 = 0.01;
 /// Time that an emulated thread needs to pull or plug a cable.
 const MOMENT: Duration = Duration::from_millis(50);
 
@@ -95,19 +95,19 @@ impl Operator for Emulated {
     fn ask(&mut self, question: &Question, _signals: &mut StopSignals) -> Result<bool> {
         let yes = match question {
             Question::Pose { shown_rad } => {
-                (self.tested()?.report().position_rad - shown_rad).amax() <= SEEN_WITHIN_RAD
+                (self.tested()?.report().position_rad - shown_rad).amax() <= OBSERVED_WITHIN_RAD
             }
             Question::Turned { axis, by_rad } => {
                 let mut off_rad = self.tested()?.report().position_rad - self.before_rad;
                 off_rad[axis.index()] -= by_rad;
-                off_rad.amax() <= SEEN_WITHIN_RAD
+                off_rad.amax() <= OBSERVED_WITHIN_RAD
             }
             Question::HasSwitch(_) => true,
             // The emergency stop cuts the servo power.
             Question::Shared { signal, other, .. } => (*signal, *other) == (Signal::Power, Signal::EmergencyStop),
             Question::Stopped(choice) => {
-                let seen = self.arm(*choice)?.report();
-                seen.is_braked && seen.velocity_rad_per_s.amax() <= REST_RAD_PER_S
+                let arm_report = self.arm(*choice)?.report();
+                arm_report.is_braked && arm_report.velocity_rad_per_s.amax() <= REST_RAD_PER_S
             }
         };
         print_line(&format!("{question} emulated operator: {}", if yes { "yes" } else { "no" }))?;

@@ -25,14 +25,14 @@ pub fn there_and_back(session: &mut Session<'_>, report: &mut StepReport, arm: &
             by.to_degrees()
         );
         session.operator.ready(&text, None, &mut session.signals)?;
-        let (reached, seen) = session.drive(arm, &plan)?;
+        let (reached, observation) = session.drive(arm, &plan)?;
         let monitor = arm.monitor.as_ref().context("the arm has no link")?;
         let rests = monitor.snapshot().joints.context("the arm reported no joints")?;
         let joint = axis.index();
         let end_deg = (reached.position_rad[joint] - plan.end_rad()[joint]).abs().to_degrees();
         let closed_deg = (rests.position_rad - reached.position_rad).amax().to_degrees();
         let turned_deg = (reached.position_rad[joint] - from_rad[joint]).to_degrees();
-        let MoveObservation { sagged_deg, behind_deg, others_deg, fastest_rad_per_s, .. } = seen;
+        let MoveObservation { sagged_deg, behind_deg, others_deg, fastest_rad_per_s, .. } = observation;
         report.note(format!("{way}: commanded {:+.3} deg, turned by {turned_deg:+.3} deg", by.to_degrees()));
         report.at_most(format!("{way}: sag when the brakes opened"), sagged_deg, STAYED_WITHIN_RAD.to_degrees(), "deg");
         report.at_most(format!("{way}: {axis} behind its plan"), behind_deg, BEHIND_MAX_DEG, "deg");

@@ -60,21 +60,21 @@ pub fn run(session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
     report.note(format!("killed {:.2} s after it was started", killed.seconds_since(begin)));
     session.pause(LEFT_ALONE)?;
 
-    let seen = see(&session.setup, choice, &session.clock).map_err(|error| format!("{error:#}"));
-    found_stopped(report, seen.as_ref().map(|seen| seen.arm.monitor().snapshot()))?;
+    let observed = see(&session.setup, choice, &session.clock).map_err(|error| format!("{error:#}"));
+    found_stopped(report, observed.as_ref().map(|observed| observed.arm.monitor().snapshot()))?;
     session.ask(report, &Question::Stopped(choice))?;
-    let Ok(mut seen) = seen else { return Ok(()) };
+    let Ok(mut observed) = observed else { return Ok(()) };
     if !report.complaints().is_empty() {
         return Ok(());
     }
-    let monitor = seen.arm.monitor();
-    refuses_motion(report, "before the reset", &mut seen.arm);
+    let monitor = observed.arm.monitor();
+    refuses_motion(report, "before the reset", &mut observed.arm);
     session.operator.ready("Next, the arm is reset.", None, &mut session.signals)?;
-    session.reset(&mut seen.arm)?;
-    seen.arm.look()?;
+    session.reset(&mut observed.arm)?;
+    observed.arm.look()?;
     let rests = monitor.snapshot().joints.context("the arm reported no joints")?;
     session.pause(BETWEEN_LOOKS)?;
-    seen.arm.look()?;
+    observed.arm.look()?;
     let later = monitor.snapshot().joints.context("the arm reported no joints")?;
     way(session, report, (&last, &rests));
     let moves_deg = (later.position_rad - rests.position_rad).amax().to_degrees();
@@ -83,14 +83,14 @@ pub fn run(session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
 }
 
 /// What the next process finds: an arm already stopped by its gateway.
-fn found_stopped(report: &mut StepReport, seen: Result<ArmSnapshot, &String>) -> Result<()> {
-    let latched = seen.map(|seen| seen.latched.map(|latched| latched.trip.to_string()));
+fn found_stopped(report: &mut StepReport, observed: Result<ArmSnapshot, &String>) -> Result<()> {
+    let latched = observed.map(|observed| observed.latched.map(|latched| latched.trip.to_string()));
     let found = match &latched {
         Ok(latched) => latched.clone().unwrap_or_else(|| "not stopped".to_owned()),
         Err(error) => format!("it cannot connect: {error}"),
     };
     report.holds("the next program finds the arm stopped", matches!(latched, Ok(Some(_))), found);
-    let gateway = seen.ok().and_then(|seen| seen.gateway_found);
+    let gateway = observed.ok().and_then(|observed| observed.gateway_found);
     if let Some(gateway) = gateway {
         stopped_by_gateway(report, gateway.state, gateway.cause);
     }

@@ -231,13 +231,13 @@ fn begin<'a>(
 
 /// Probes the arm; returns its state and how it was reached.
 fn look(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Clock>) -> Result<(ArmSnapshot, String)> {
-    let mut seen = see(setup, choice, clock)?;
-    if let Some(latched) = seen.arm.monitor().snapshot().latched {
+    let mut observed = see(setup, choice, clock)?;
+    if let Some(latched) = observed.arm.monitor().snapshot().latched {
         bail!("{} is stopped: {}; after the cause is gone, use `pb3dp arm reset`", choice.name(), latched.trip);
     }
     // A gateway knows the wire format once the controller has answered.
-    seen.arm.look()?;
-    Ok((seen.arm.monitor().snapshot(), seen.target))
+    observed.arm.look()?;
+    Ok((observed.arm.monitor().snapshot(), observed.target))
 }
 
 /// The operator, and the address of an arm emulated for this test.

@@ -123,7 +123,7 @@ impl Person {
     fn line(&mut self, signals: &mut StopSignals) -> Result<String> {
         match self.console.line(Some(self.patience), signals)? {
             Line::Typed(line) => {
-                self.keys.heard(self.clock.now());
+                self.keys.key_pressed(self.clock.now());
                 Ok(line.trim().to_lowercase())
             }
             Line::Ended => bail!("standard input has ended, so no operator can answer; run the test in a terminal"),
@@ -145,7 +145,7 @@ impl Operator for Person {
 
     fn confirm(&mut self, name: &str, signals: &mut StopSignals) -> Result<()> {
         self.console.typed(name, Some(self.patience), signals)?;
-        self.keys.heard(self.clock.now());
+        self.keys.key_pressed(self.clock.now());
         Ok(())
     }
 

@@ -269,14 +269,14 @@ impl Session<'_> {
     /// # Errors
     /// The cause of an abort.
     pub fn drive(&mut self, arm: &mut SlowArm, plan: &Plan) -> Result<(JointState, MoveObservation)> {
-        let (axis, mut seen) = (self.axis, MoveObservation::default());
+        let (axis, mut observation) = (self.axis, MoveObservation::default());
         let Self { operator, signals, clock, setup, .. } = self;
         let mut watch = |cycle: &Cycle<'_>| {
             operator.goes_on()?;
-            seen.take(plan, axis, cycle)
+            observation.take(plan, axis, cycle)
         };
         let outcome = Drive::new(arm, plan, clock, setup.control_period).run(signals, &mut watch);
-        Ok((drive::stopped_after(self.choice, arm, outcome)?, seen))
+        Ok((drive::stopped_after(self.choice, arm, outcome)?, observation))
     }
 
     /// Plans the next move, in which the operator has to act, and announces it.
@@ -309,12 +309,12 @@ impl Session<'_> {
     /// If nothing stopped it, or another failure ended it.
     pub fn drive_until(&mut self, arm: &mut SlowArm, plan: &Plan, act: Act) -> Result<Stop> {
         let (axis, duration) = (self.axis, plan.duration());
-        let (mut acted, mut last, mut seen) = (None, None, MoveObservation::default());
+        let (mut acted, mut last, mut observation) = (None, None, MoveObservation::default());
         let mut speed_rad_per_s = 0.0;
         let Self { operator, signals, clock, setup, .. } = self;
         let mut watch = |cycle: &Cycle<'_>| {
             operator.goes_on()?;
-            seen.take(plan, axis, cycle)?;
+            observation.take(plan, axis, cycle)?;
             last = Some(*cycle.measured);
             speed_rad_per_s = plan.at(cycle.passed).1[axis.index()].abs();
             if acted.is_none() && cycle.passed >= duration.mul_f64(ACT_AT) {

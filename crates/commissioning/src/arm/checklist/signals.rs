@@ -13,7 +13,7 @@ use pb3dp_hal_api::{ArmPower, Clock};
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_setup::setup::{ArmLink, Setup, read_layers};
-use pb3dp_wiring::commissioning::{SeenArm, see};
+use pb3dp_wiring::commissioning::{ObservedArm, see};
 
 use super::OperatorName;
 use super::operator::{Act, Operator, Question};
@@ -26,7 +26,7 @@ const CALM: u32 = 20;
 /// Measurements while a switch is actuated.
 const ACTUATED: u32 = 5;
 /// Measurements until the words have to be as before.
-const PATIENCE: u32 = 50;
+const ATTEMPTS_MAX: u32 = 50;
 /// Time between two measurements.
 const PAUSE: Duration = Duration::from_millis(20);
 
@@ -110,7 +110,7 @@ impl Bench {
         self.operator.ask(question, &mut self.stop)
     }
 
-    fn see(&self) -> Result<SeenArm> {
+    fn see(&self) -> Result<ObservedArm> {
         see(&self.setup, self.choice, &self.clock)
     }
 
@@ -121,54 +121,57 @@ impl Bench {
         if signal == Signal::DeadMan {
             self.operator.ready("Its words are read.", Some(off), &mut self.stop)?;
         }
-        let mut seen = self.see()?;
+        let mut opened_arm = self.see()?;
         for _ in 0..CALM {
-            let words = look(&mut seen)?.with_context(|| {
+            let words = look(&mut opened_arm)?.with_context(|| {
                 format!("{} is stopped; after the cause is gone, use `pb3dp arm reset`", self.choice.name())
             })?;
             observed.before.push(words);
         }
         self.operator.ready("Keep it so. The words are read.", Some(on), &mut self.stop)?;
         for _ in 0..ACTUATED {
-            match look(&mut seen)? {
+            match look(&mut opened_arm)? {
                 Some(words) => observed.during.push(words),
                 None => break,
             }
         }
         if observed.during.is_empty() {
-            self.refuse_stop_of_format_a(&seen)?;
+            self.refuse_stop_of_format_a(&opened_arm)?;
             // A gateway keeps the words of the stop for the next connection; a bus has shown them.
             if matches!(self.choice.of(&self.setup).link, ArmLink::Gateway(..)) {
-                drop(seen);
-                seen = self.see()?;
+                drop(opened_arm);
+                opened_arm = self.see()?;
             }
-            let snapshot = seen.arm.monitor().snapshot();
+            let snapshot = opened_arm.arm.monitor().snapshot();
             let at_stop =
                 snapshot.shown.or(snapshot.sample).context("the gateway shows no status words of the stop")?;
             observed.during.push(Words::of(&at_stop.condition));
         }
         self.operator.ready("The words are read.", Some(off), &mut self.stop)?;
-        if seen.arm.monitor().snapshot().latched.is_some() {
-            seen.arm.reset().context("the arm is stopped, and cannot be reset although the switch is released")?;
+        if opened_arm.arm.monitor().snapshot().latched.is_some() {
+            opened_arm
+                .arm
+                .reset()
+                .context("the arm is stopped, and cannot be reset although the switch is released")?;
         }
         // A switch may bounce.
-        for _ in 0..PATIENCE {
-            if look(&mut seen)? == observed.before.last().copied() {
+        for _ in 0..ATTEMPTS_MAX {
+            if look(&mut opened_arm)? == observed.before.last().copied() {
                 break;
             }
         }
         for _ in 0..CALM {
-            observed.after.push(look(&mut seen)?.context("the arm stopped after the switch was released")?);
+            observed.after.push(look(&mut opened_arm)?.context("the arm stopped after the switch was released")?);
         }
         Ok(observed)
     }
 
     /// An alarm of format B may stop the arm. Another stop means that the gateway knows the bits, and it would stay silent about them.
-    fn refuse_stop_of_format_a(&self, seen: &SeenArm) -> Result<()> {
+    fn refuse_stop_of_format_a(&self, opened_arm: &ObservedArm) -> Result<()> {
         if self.choice.of(&self.setup).link.format() == Some(WireFormat::BigEndian6x10) {
             return Ok(());
         }
-        let latched = seen.arm.monitor().snapshot().latched;
+        let latched = opened_arm.arm.monitor().snapshot().latched;
         bail!(
             "the arm was stopped ({}), so its words cannot be compared: set the keys of [arm.signals] in the gateway's file to \"unknown\" \
              for this command, and reset the arm",
@@ -199,10 +202,10 @@ impl Bench {
 }
 
 /// The words of a measurement with closed brakes; `None` if they stopped the arm.
-fn look(seen: &mut SeenArm) -> Result<Option<Words>> {
+fn look(opened_arm: &mut ObservedArm) -> Result<Option<Words>> {
     std::thread::sleep(PAUSE);
-    let looked = seen.arm.look();
-    let snapshot = seen.arm.monitor().snapshot();
+    let looked = opened_arm.arm.look();
+    let snapshot = opened_arm.arm.monitor().snapshot();
     match (snapshot.latched, snapshot.sample) {
         (Some(_), _) => Ok(None),
         (None, Some(sample)) => looked.map(|()| Some(Words::of(&sample.condition))).map_err(Into::into),

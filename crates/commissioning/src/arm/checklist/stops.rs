@@ -88,14 +88,14 @@ pub fn interlock(session: &mut Session<'_>, report: &mut StepReport, arm: &mut S
     session.switch_other_on(arm, &plan)?;
     let stop = session.drive_until(arm, &plan, act)?;
     let other = arm.other.as_mut().context("the other arm is not connected")?;
-    let told = other.monitor.as_ref().context("the other arm has no link")?.snapshot().latched;
+    let reported = other.monitor.as_ref().context("the other arm has no link")?.snapshot().latched;
     let is_e_stop = other.driven.state() == ArmState::EStop;
-    let found = told.map_or_else(|| "not stopped".to_owned(), |latched| latched.trip.to_string());
+    let found = reported.map_or_else(|| "not stopped".to_owned(), |latched| latched.trip.to_string());
     report.holds("the other arm is stopped by an emergency stop", is_e_stop, found);
     let is_stopped = matches!(stop.state, ArmState::Fault | ArmState::EStop);
     report.holds("this arm is stopped, too", is_stopped, stop.cause.clone());
     noticed(report, "from the operator action to the stop of this arm", &stop);
-    let apart_ms = told.map_or(f64::NAN, |latched| 1e3 * stop.noticed.seconds_since(latched.at));
+    let apart_ms = reported.map_or(f64::NAN, |latched| 1e3 * stop.noticed.seconds_since(latched.at));
     let cycle_ms = 1e3 * session.setup.control_period.as_secs_f64();
     // R20. A common emergency stop may reach this arm first.
     report.at_most("from the stop of the other arm to that of this one", apart_ms, cycle_ms, "ms");

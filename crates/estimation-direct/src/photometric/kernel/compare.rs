@@ -15,7 +15,7 @@ pub(super) struct Group<const N: usize> {
     pub channel: [Channel; N],
     /// Tukey's weight.
     pub weight: Row,
-    pub seen: Row,
+    pub visible: Row,
     at: [u32; SHARING],
     t: Row,
     distance: Row,
@@ -62,7 +62,7 @@ impl<const N: usize> Group<N> {
         Self {
             channel: std::array::from_fn(|_| channel()),
             weight: none,
-            seen: none,
+            visible: none,
             at: [0; SHARING],
             t: none,
             distance: none,
@@ -84,9 +84,9 @@ impl<const N: usize> Group<N> {
         let inverse_limit = 1.0 / warp.limit;
         for i in 0..SHARING {
             let inner = larger(1.0 - self.distance[i] * inverse_limit, 0.0);
-            let seen = self.seen[i] * self.any[i];
-            self.seen[i] = seen;
-            self.weight[i] = seen * inner * inner;
+            let visible = self.visible[i] * self.any[i];
+            self.visible[i] = visible;
+            self.weight[i] = visible * inner * inner;
         }
     }
 
@@ -104,7 +104,7 @@ impl<const N: usize> Group<N> {
         let last = warp.width as f32 - 3.0;
         for i in 0..SHARING {
             let column = warp.column + warp.per_x * x[i] + warp.per_y * y[i];
-            self.seen[i] = if column >= 1.0 && column < last { unit[i] } else { 0.0 };
+            self.visible[i] = if column >= 1.0 && column < last { unit[i] } else { 0.0 };
             let column = smaller(larger(column, 1.0), last - 1.0);
             // SAFETY: `larger` and `smaller` leave no NaN, and both limits are small numbers.
             let whole: i32 = unsafe { column.to_int_unchecked() };

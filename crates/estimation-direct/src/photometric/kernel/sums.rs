@@ -17,7 +17,7 @@ pub(crate) struct Sums {
     /// Sum of Tukey's weights.
     pub weight: f64,
     /// Number of points inside the right planes.
-    pub seen: f64,
+    pub visible: f64,
     pub sharpness: SharpnessSums,
     /// The same over the points well inside the region.
     pub inner: InnerSums,
@@ -29,7 +29,7 @@ pub(crate) struct InnerSums {
     /// Sum of Tukey's weights.
     pub weight: f64,
     /// Number of points inside the right planes.
-    pub seen: f64,
+    pub visible: f64,
     /// Weighted sum of squared residuals.
     pub squares: f64,
 }
@@ -87,7 +87,7 @@ struct LaneSingles(SingleSums<Lanes>);
 
 named_sums! {
     /// Sums over all channels: the fields of [`Sums`] and [`InnerSums`].
-    struct PointCounts { weight, seen, inner_weight, inner_seen, inner_squares, }
+    struct PointCounts { weight, visible, inner_weight, inner_visible, inner_squares, }
 }
 
 #[inline(always)]
@@ -119,13 +119,13 @@ fn accumulate_channels<const N: usize>(
         let squares = group.squares();
         let inner = row(&points.inner, first);
         for k in 0..SHARING / LANES {
-            let (weight, seen) = (lanes(&group.weight, k), lanes(&group.seen, k));
+            let (weight, visible) = (lanes(&group.weight, k), lanes(&group.visible, k));
             let (inner, squares) = (lanes(inner, k), lanes(squares, k));
             for i in 0..LANES {
                 counts.weight[i] += weight[i];
-                counts.seen[i] += seen[i];
+                counts.visible[i] += visible[i];
                 counts.inner_weight[i] += weight[i] * inner[i];
-                counts.inner_seen[i] += seen[i] * inner[i];
+                counts.inner_visible[i] += visible[i] * inner[i];
                 counts.inner_squares[i] += weight[i] * inner[i] * squares[i];
             }
         }
@@ -142,8 +142,14 @@ fn accumulate_channels<const N: usize>(
         }
     }
     fold(&mut sums, &mut channel, &mut sharpness);
-    let PointCounts { weight, seen, inner_weight, inner_seen, inner_squares: squares } = counts.folded();
-    Sums { channel, weight, seen, sharpness, inner: InnerSums { weight: inner_weight, seen: inner_seen, squares } }
+    let PointCounts { weight, visible, inner_weight, inner_visible, inner_squares: squares } = counts.folded();
+    Sums {
+        channel,
+        weight,
+        visible,
+        sharpness,
+        inner: InnerSums { weight: inner_weight, visible: inner_visible, squares },
+    }
 }
 
 /// Adds the single-precision sums to the double-precision ones and resets them.

@@ -168,13 +168,13 @@ fn sums_are_those_of_single_points_with_every_kernel() {
         let warp = warp(channels);
         let plain = accumulate(Kernels::available().next().unwrap(), &points, &right, &warp, Thinning { step });
         let mut expected = [ChannelSums::default(); CHANNELS_MAX];
-        let (mut weight, mut seen, mut sharpness) = (0.0, 0.0, SharpnessSums::default());
+        let (mut weight, mut visible, mut sharpness) = (0.0, 0.0, SharpnessSums::default());
         for group in (0..3).step_by(step) {
             let found: Vec<_> = (group * SHARING..(group + 1) * SHARING)
                 .filter_map(|i| single(&points, &planes, &warp, i).map(|(s, w)| (i, s, w)))
                 .map(|(i, s, w)| (s, w, f64::from(points.x[i]), f64::from(points.y[i])))
                 .collect();
-            seen += found.len() as f64;
+            visible += found.len() as f64;
             for (singles, w, _, _) in &found {
                 weight += w;
                 for s in singles {
@@ -189,8 +189,8 @@ fn sums_are_those_of_single_points_with_every_kernel() {
                 expected.singles += new.singles;
             }
         }
-        assert!(seen > 150.0 && weight > 0.3 * seen, "{seen} {weight}");
-        assert!((plain.weight - weight).abs() < 1e-3 * weight && plain.seen == seen);
+        assert!(visible > 150.0 && weight > 0.3 * visible, "{visible} {weight}");
+        assert!((plain.weight - weight).abs() < 1e-3 * weight && plain.visible == visible);
         let near = |a: f64, b: f64, scale: f64| (a - b).abs() < 1e-3 * scale;
         assert!(near(plain.sharpness.excess, sharpness.excess, 50.0), "{:?} {sharpness:?}", plain.sharpness);
         assert!(near(plain.sharpness.curvature, sharpness.curvature, 20.0));
@@ -261,16 +261,20 @@ fn what_is_not_modelled_pulls_as_if_it_were_in_the_images() {
         ("rows by row", row_by_row, |points, c, i| points.gradient_y[c][i] * points.y[i]),
         ("blur", blur, |points, c, i| 0.5 * points.curvature[c][i]),
     ];
-    for (name, said, difference) in ways {
+    for (name, stated_scores, difference) in ways {
         let mut changed = points.clone();
         for (c, i) in (0..CHANNELS_MAX).flat_map(|c| (0..points.x.len()).map(move |i| (c, i))) {
             changed.value[c][i] -= PART * difference(&points, c, i);
         }
         let (after, _) = run(&changed);
-        let largest = said.iter().fold(0.0_f64, |largest, score| largest.max(score.abs()));
+        let largest = stated_scores.iter().fold(0.0_f64, |largest, score| largest.max(score.abs()));
         for k in 0..4 {
             let moved = (after[k] - before[k]) / f64::from(PART);
-            assert!((moved - said[k]).abs() < 0.05 * largest, "{name}, {k}: {moved}, not {}", said[k]);
+            assert!(
+                (moved - stated_scores[k]).abs() < 0.05 * largest,
+                "{name}, {k}: {moved}, not {}",
+                stated_scores[k]
+            );
         }
     }
 }
@@ -288,7 +292,9 @@ fn places_outside_the_right_planes_are_not_read() {
         let warp = Warp { column, per_x, ..warp(3) };
         for kernels in pb3dp_estimation_test_support::every_kernel() {
             let sums = accumulate(kernels, &points, &right, &warp, Thinning::NONE);
-            assert!(sums.seen <= SHARING as f64 && sums.channel.iter().flat_map(named).all(|(_, sum)| sum.is_finite()));
+            assert!(
+                sums.visible <= SHARING as f64 && sums.channel.iter().flat_map(named).all(|(_, sum)| sum.is_finite())
+            );
         }
     }
 }

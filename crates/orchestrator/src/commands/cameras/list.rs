@@ -414,7 +414,7 @@ mod tests {
     }
 
     #[test]
-    fn sizes_and_rates_that_are_ranges_are_told() {
+    fn sizes_and_rates_that_are_ranges_are_listed() {
         let size = |width, height| ImageSize { width, height };
         let range = SizeEntry::Range { from: size(48, 32), to: size(1920, 1200), step: (2, 4) };
         assert_eq!(Size::of(&range, &[]).text(), "48x32 to 1920x1200 by steps of 2x4");

@@ -24,7 +24,7 @@ fn scheduling(system: &dyn System, needs: &Needs) -> Finding {
     let priority = needs.priority;
     match system.try_fifo(priority) {
         Ok(()) => Finding::pass(CHECK, format!("SCHED_FIFO with priority {priority} is available")),
-        Err(said) => Finding::missing(needs.needs_realtime, CHECK, said, RIGHTS),
+        Err(message) => Finding::missing(needs.needs_realtime, CHECK, message, RIGHTS),
     }
 }
 
@@ -32,7 +32,7 @@ fn memory(system: &dyn System, needs: &Needs) -> Finding {
     const CHECK: &str = "memory lock";
     match system.try_memory_lock() {
         Ok(()) => Finding::pass(CHECK, "the program may lock its memory"),
-        Err(said) => Finding::missing(needs.needs_realtime, CHECK, said, RIGHTS),
+        Err(message) => Finding::missing(needs.needs_realtime, CHECK, message, RIGHTS),
     }
 }
 

@@ -157,7 +157,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_folder_that_can_not_be_written_is_told_also_before_it_is_there() {
+    fn a_folder_that_cannot_be_written_is_reported_before_it_exists() {
         let folder = tempfile::tempdir().unwrap();
         assert_eq!(may_write(&folder.path().join("recordings/of today")), Ok(()));
         // A file is not a folder, for any user.

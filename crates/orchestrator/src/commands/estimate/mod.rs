@@ -25,7 +25,7 @@ use pb3dp_record::dataset::{find_cases, load_case};
 use pb3dp_record::images::{StoredFormat, save};
 use pb3dp_record::metrics::{self, DisparityAgreement, EvaluatedCase, Group, compare_plane, table};
 use pb3dp_setup::estimator::estimator_config;
-use pb3dp_wiring::message_codes::in_words;
+use pb3dp_wiring::message_codes::error_text;
 
 use self::job::{Job, pair_name};
 use self::rigs::Rigs;
@@ -83,7 +83,7 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
             }
             Err(error) => {
                 refused += 1;
-                let reason = in_words(&error);
+                let reason = error_text(&error);
                 tracing::error!("{}: {reason}", source.label());
                 evaluated.extend(source.refused());
                 EstimateLine::of_error(&name, method.name(), reason)
@@ -179,10 +179,10 @@ fn work(
     let (estimate, millis) = timed(|| {
         let mut may_continue = within(args.method.deadline);
         estimator.estimate(
-            EstimateRequest::of_target(&job.left, &job.right, &job.region, &job.range).until(&mut may_continue),
+            EstimateRequest::new_target(&job.left, &job.right, &job.region, &job.range).until(&mut may_continue),
         )
     });
-    let request = EstimateRequest::of_target(&job.left, &job.right, &job.region, &job.range);
+    let request = EstimateRequest::new_target(&job.left, &job.right, &job.region, &job.range);
     let visible = args.surface.as_ref().map(|_| estimator.visible_surface(&request));
     rigs.give_back(job, estimator);
     let mut estimate = estimate?;
@@ -232,7 +232,7 @@ fn reference_optimum(job: &Job, method: Method, config: &EstimatorConfig) -> Res
     config.published.reference_optimum = true;
     let mut estimator = Estimator::new(method, &job.rig, &config)?;
     Ok(estimator
-        .estimate(EstimateRequest::of_target(&job.left, &job.right, &job.region, &job.range))?
+        .estimate(EstimateRequest::new_target(&job.left, &job.right, &job.region, &job.range))?
         .reference_optimum)
 }
 

@@ -29,14 +29,14 @@ fn with_page(work: impl FnOnce(&Page)) {
     let (camera, desk) = open_cameras(&chosen.config, (Arc::new(system.clone()), clock.clone())).unwrap();
     let source = of_cameras(chosen, camera, desk);
     let config = PanelConfig::at("127.0.0.1:0".parse().unwrap());
-    let (is_over, (tell, told)) = (AtomicBool::new(false), channel());
+    let (is_over, (tell, outcomes)) = (AtomicBool::new(false), channel());
     std::thread::scope(|scope| {
         let over = &is_over;
         let serving = scope.spawn(move || {
             let mut opened = |panel: &Panel| Ok(tell.send(panel.address())?);
             serve(source, (config, clock), &mut opened, &mut || over.load(Ordering::SeqCst))
         });
-        let mut page = Page { address: told.recv().unwrap(), session: String::new(), system };
+        let mut page = Page { address: outcomes.recv().unwrap(), session: String::new(), system };
         // Closed also after a failure, which would wait for ever otherwise.
         let worked = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
             let (status, lease) = page.post("lease", &json!({ "action": "take", "name": "test" }));

@@ -17,7 +17,7 @@ use pb3dp_estimation::estimator::Method;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_hal_api::{CameraErrorKind, FramePair, StereoCamera};
 use pb3dp_record::metrics::{MotionSummary, compare_motion};
-use pb3dp_wiring::message_codes::in_words;
+use pb3dp_wiring::message_codes::error_text;
 use pb3dp_wiring::wire_replay;
 use pb3dp_wiring::{Recording, ReplayPace};
 
@@ -79,7 +79,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
             }
             Err(error) if error.kind() == CameraErrorKind::BadPair => {
                 unread += 1;
-                let reason = in_words(&error.into());
+                let reason = error_text(&error.into());
                 tracing::error!("frame {frame}: {reason}");
                 walk.skip();
                 csv.add_unread(t_s)?;
@@ -126,9 +126,9 @@ fn new_walk(recording: &Recording, args: &TrackArgs) -> Result<Walk> {
         walk.first_target().map_or(Ok(()), |target| target.check_skew())?;
     } else if args.method.method == Method::Direct {
         let again = || Ok((opened(args, ReplayPace::Fast)?, Walk::new(rig, recording, args, range)?));
-        let told = skew::of(again)?;
-        walk.use_skew(told.skew, told.warning());
-        if told.cost.is_some() {
+        let found_skew = skew::of(again)?;
+        walk.use_skew(found_skew.skew, found_skew.warning());
+        if found_skew.cost.is_some() {
             walk.watch_skew()?;
         }
     }

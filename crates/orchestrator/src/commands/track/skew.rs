@@ -17,7 +17,7 @@ const ENOUGH_S: f64 = 4e-4;
 
 /// What the first pairs of a recording tell.
 #[derive(Debug, Default)]
-pub struct Told {
+pub struct SkewResult {
     /// The skew, if they show one.
     pub skew: Option<Skew>,
     /// What an unknown one may cost.
@@ -26,24 +26,24 @@ pub struct Told {
 
 /// What the first pairs of a recording tell, which `again` opens for this purpose. A skew that was found while it was in the way is found better
 /// once it is taken out.
-pub fn of(mut again: impl FnMut() -> Result<(Recording, Walk)>) -> Result<Told> {
-    let mut told = look(again()?, None)?;
+pub fn of(mut again: impl FnMut() -> Result<(Recording, Walk)>) -> Result<SkewResult> {
+    let mut found_skew = look(again()?, None)?;
     for _ in 0..ROUNDS {
-        let Some(before) = told.skew.filter(|skew| skew.sigma_s > ENOUGH_S) else { break };
+        let Some(before) = found_skew.skew.filter(|skew| skew.sigma_s > ENOUGH_S) else { break };
         let next = look(again()?, Some(before))?;
         if next.skew.is_none_or(|skew| skew.sigma_s > before.sigma_s) {
             break;
         }
-        told = next;
+        found_skew = next;
     }
-    Ok(told)
+    Ok(found_skew)
 }
 
 /// Follows the first target until its motion has told the skew. A damaged pair, a region that is refused and a target that is not found tell
 /// nothing here; they are reported where they count.
-fn look((mut recording, mut walk): (Recording, Walk), assumed: Option<Skew>) -> Result<Told> {
+fn look((mut recording, mut walk): (Recording, Walk), assumed: Option<Skew>) -> Result<SkewResult> {
     let mut pair = FramePair::black(recording.camera.rig().left().size());
-    let Some(target) = walk.first_target() else { return Ok(Told::default()) };
+    let Some(target) = walk.first_target() else { return Ok(SkewResult::default()) };
     if assumed.is_some() { target.check_skew() } else { target.watch_skew() }?;
     let mut before = None;
     for _ in 0..PAIRS.min(recording.times_s.len()) {
@@ -54,10 +54,10 @@ fn look((mut recording, mut walk): (Recording, Walk), assumed: Option<Skew>) -> 
         }
     }
     let watch = target.tracker().skew();
-    Ok(Told { skew: watch.and_then(|watch| watch.found()), cost: watch.and_then(|watch| watch.cost()) })
+    Ok(SkewResult { skew: watch.and_then(|watch| watch.found()), cost: watch.and_then(|watch| watch.cost()) })
 }
 
-impl Told {
+impl SkewResult {
     /// As a warning.
     pub fn warning(&self) -> Option<String> {
         match (&self.skew, &self.cost) {

@@ -22,7 +22,7 @@ use pb3dp_record::images::size_of;
 use pb3dp_setup::estimator::estimator_config;
 use pb3dp_setup::region_spec::{RegionSpec, load_region};
 use pb3dp_wiring::Recording;
-use pb3dp_wiring::message_codes::in_words;
+use pb3dp_wiring::message_codes::error_text;
 
 use crate::arguments::TrackArgs;
 use crate::commands::pair::{tell_click, usable};
@@ -123,7 +123,7 @@ impl TrackedTarget {
             Some(reason) => Outcome::Refused { reason: reason.clone() },
             None => match self.step(pair, prior, deadline_millis) {
                 Ok((estimate, millis)) => Outcome::Estimate { estimate: Box::new(estimate), millis },
-                Err(error) => Outcome::Refused { reason: in_words(&error) },
+                Err(error) => Outcome::Refused { reason: error_text(&error) },
             },
         };
         match &outcome {

@@ -64,11 +64,11 @@ impl std::fmt::Display for MockReport {
         if let Some(gateway) = &self.gateway {
             writeln!(f, "gateway: {}, cause: {}", gateway.state, gateway.cause)?;
         }
-        let MockCounters { frames, answered, forbidden, malformed, odd, let_go, watchdog_trips, .. } = &self.counters;
+        let MockCounters { frames, answered, forbidden, malformed, odd, released, watchdog_trips, .. } = &self.counters;
         writeln!(
             f,
             "messages: {frames} received, {answered} answered, {malformed} malformed, {forbidden} forbidden, {odd} odd, \
-             {let_go} axes released, {watchdog_trips} time-outs"
+             {released} axes released, {watchdog_trips} time-outs"
         )?;
         let faults: Vec<String> = self.counters.faults.iter().map(|(name, count)| format!("{name} {count}")).collect();
         let faults = if faults.is_empty() { "none".to_owned() } else { faults.join(", ") };

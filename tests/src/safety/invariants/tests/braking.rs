@@ -19,9 +19,9 @@ fn an_arm_that_stops_by_itself_brakes_as_its_brakes_do() {
         )
     };
     let found = found_in(&braking(false));
-    assert!(found.iter().any(|seen| seen.invariant == Invariant::Acceleration), "{found:?}");
+    assert!(found.iter().any(|violation| violation.invariant == Invariant::Acceleration), "{found:?}");
     let found = found_in(&braking(true));
-    assert!(found.iter().all(|seen| seen.invariant != Invariant::Acceleration), "{found:?}");
+    assert!(found.iter().all(|violation| violation.invariant != Invariant::Acceleration), "{found:?}");
 }
 
 /// A joint at 0.5 rad/s that loses its speed within 30 ms behind a lag of 30 ms, as the drives follow the watchdog of the arm.

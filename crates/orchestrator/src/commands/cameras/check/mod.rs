@@ -27,7 +27,7 @@ use super::choice::{CameraChoice, Chosen, check_size};
 const SAMPLES: usize = 6;
 
 /// Time without images after which the cameras count as failed.
-const PATIENCE: Duration = Duration::from_secs(3);
+const CAMERA_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// Meaning of exit code and `--json`.
 const CHECK_JSON: &str = "Show both cameras a scene with texture and sharp edges at the distance at which they work, and let it rest.
@@ -115,11 +115,11 @@ fn take(camera: &mut V4l2StereoCamera, clock: &dyn Clock, pairs: usize) -> Captu
         failure: None,
     };
     let every = (pairs / SAMPLES).max(1);
-    let mut heard_at = clock.now();
+    let mut heartbeat_at = clock.now();
     while taken.moments.len() < pairs {
         match camera.next_pair_into(&mut pair, Duration::from_secs(1)) {
             Ok(()) => {
-                heard_at = clock.now();
+                heartbeat_at = clock.now();
                 let number = taken.moments.len();
                 taken.moments.push(Moment {
                     sequence: pair.sequence,
@@ -135,7 +135,7 @@ fn take(camera: &mut V4l2StereoCamera, clock: &dyn Clock, pairs: usize) -> Captu
             }
             Err(error) => {
                 let goes_on = matches!(error.kind(), CameraErrorKind::Timeout | CameraErrorKind::BadPair);
-                if !goes_on || clock.now().saturating_since(heard_at) >= PATIENCE {
+                if !goes_on || clock.now().saturating_since(heartbeat_at) >= CAMERA_TIMEOUT {
                     taken.failure = Some(format!("{:#}", anyhow::Error::new(error)));
                     break;
                 }

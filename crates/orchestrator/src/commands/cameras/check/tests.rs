@@ -71,7 +71,7 @@ fn one_device_with_both_views_passes_every_check() {
 }
 
 #[test]
-fn each_fault_of_the_cameras_is_found_and_said() {
+fn each_fault_of_the_cameras_is_found_and_reported() {
     let apart = check(&[], |side, camera| camera.phase = Duration::from_millis(40 + 8 * side as u64)).unwrap();
     assert_eq!(failed(&apart), ["skew"], "{}", apart.text());
     let text = apart.text();
@@ -99,7 +99,7 @@ fn each_fault_of_the_cameras_is_found_and_said() {
 }
 
 #[test]
-fn cameras_that_fail_are_told() {
+fn failing_cameras_are_reported() {
     let silent = |side: usize, camera: &mut EmulatedCamera| camera.faults.is_silent = side == 1;
     let error = format!("{:#}", check(&[], silent).unwrap_err());
     assert!(error.contains("no pairs come") && error.contains("no image yet"), "{error}");

@@ -14,7 +14,7 @@ use pb3dp_record::calibration_files::CameraIdentity;
 use pb3dp_recording::pairs::{About, PairRecording};
 
 use super::Recorded;
-use super::recorder::{PATIENCE, PATIENCE_OF_A_CALL};
+use super::recorder::{CALL_TIMEOUT, CAMERA_TIMEOUT};
 
 /// When a recording ends.
 pub(super) struct Until {
@@ -37,7 +37,7 @@ pub(super) fn record(
     let about = About::new(String::new(), crate::COMMIT, clock.now())?;
     let mut file = PairRecording::new(&about, rig, Sinks::new(Some(writer), None, None));
     file.cameras(Some(identities));
-    let (begin, mut heard_at) = (clock.now(), clock.now());
+    let (begin, mut heartbeat_at) = (clock.now(), clock.now());
     let mut pair = FramePair::black(camera.info().size);
     let mut recorded = Recorded::default();
     let (mut taken, mut first_at, mut before) = (0_u64, None, None);
@@ -45,9 +45,9 @@ pub(super) fn record(
         if until.time.is_some_and(|max| clock.now().saturating_since(begin) >= max) {
             break;
         }
-        match camera.next_pair_into(&mut pair, PATIENCE_OF_A_CALL) {
+        match camera.next_pair_into(&mut pair, CALL_TIMEOUT) {
             Ok(()) => {
-                (heard_at, taken) = (clock.now(), taken + 1);
+                (heartbeat_at, taken) = (clock.now(), taken + 1);
                 let gap =
                     before.replace(pair.sequence).map_or(0, |before: u64| pair.sequence.saturating_sub(before + 1));
                 recorded.missing_cameras += gap;
@@ -57,7 +57,7 @@ pub(super) fn record(
             }
             Err(error) => {
                 let goes_on = matches!(error.kind(), CameraErrorKind::Timeout | CameraErrorKind::BadPair);
-                let is_silent = clock.now().saturating_since(heard_at) >= PATIENCE;
+                let is_silent = clock.now().saturating_since(heartbeat_at) >= CAMERA_TIMEOUT;
                 let text = format!("{:#}", anyhow::Error::new(error));
                 recorded.complaint = Some(text.clone());
                 if !goes_on || is_silent {

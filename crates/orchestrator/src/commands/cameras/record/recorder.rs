@@ -14,10 +14,10 @@ use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera
 use pb3dp_record::dataset::{DatasetError, FrameFiles, SequenceSummary, SequenceWriter, WrittenFrame};
 
 /// Timeout of one call for a pair, so that signals are handled.
-pub(super) const PATIENCE_OF_A_CALL: Duration = Duration::from_millis(250);
+pub(super) const CALL_TIMEOUT: Duration = Duration::from_millis(250);
 
 /// Time without images, or number of periods if that is longer, after which the cameras count as failed.
-pub(super) const PATIENCE: Duration = Duration::from_secs(3);
+pub(super) const CAMERA_TIMEOUT: Duration = Duration::from_secs(3);
 const PATIENCE_PERIODS: u32 = 5;
 
 /// End of a recording, and its resources.
@@ -190,16 +190,16 @@ impl Taking<'_> {
         is_over: &mut dyn FnMut() -> bool,
     ) -> Option<Failure> {
         let begin = self.clock.now();
-        let mut heard_at = begin;
-        let patience = PATIENCE.max(camera.info().period.unwrap_or_default() * PATIENCE_PERIODS);
+        let mut heartbeat_at = begin;
+        let patience = CAMERA_TIMEOUT.max(camera.info().period.unwrap_or_default() * PATIENCE_PERIODS);
         let is_done = |writer: &SequenceWriter| self.plan.pairs_max.is_some_and(|max| writer.frames() >= max);
         while !is_done(writer) && self.broken.number() == u64::MAX && !is_over() {
             if self.plan.time_max.is_some_and(|max| self.clock.now().saturating_since(begin) >= max) {
                 break;
             }
-            match camera.next_pair_into(&mut self.current.pair, PATIENCE_OF_A_CALL) {
+            match camera.next_pair_into(&mut self.current.pair, CALL_TIMEOUT) {
                 Ok(()) => {
-                    heard_at = self.clock.now();
+                    heartbeat_at = self.clock.now();
                     if let Err(error) = self.hand_over(writer) {
                         return Some(Failure::Disk(error));
                     }
@@ -211,7 +211,7 @@ impl Taking<'_> {
                         tracing::warn!("{text}");
                     }
                     self.complaint = Some(text);
-                    if !goes_on || self.clock.now().saturating_since(heard_at) >= patience {
+                    if !goes_on || self.clock.now().saturating_since(heartbeat_at) >= patience {
                         return Some(Failure::Camera(error));
                     }
                 }

@@ -82,17 +82,17 @@ fn a_recording_says_what_the_setup_says_of_the_target_unless_it_is_typed() {
     let range =
         pb3dp_estimation_core::plane_hypothesis::SearchRange { z_min_m: 0.35, z_max_m: 0.65, tilt_max_rad: 0.5 };
     let with = |region: &str| ChosenTarget { region: Some(region.parse().unwrap()), range: Some(range) };
-    let told = |more: &[&str], target: &ChosenTarget| {
+    let lines_of = |more: &[&str], target: &ChosenTarget| {
         let SequenceDraft { region_polygon_left_px, search, .. } = draft(&place.args(more), target, size).unwrap();
         (region_polygon_left_px[0], [search.z_min_m, search.z_max_m, search.tilt_max_rad])
     };
     let of_setup = with("rect:100,120,80,60");
-    assert_eq!(told(&[], &of_setup), ([100.0, 120.0], [0.35, 0.65, 0.5]));
+    assert_eq!(lines_of(&[], &of_setup), ([100.0, 120.0], [0.35, 0.65, 0.5]));
     let typed = ["--region", "rect:7,8,90,90", "--z-range", "400,500", "--tilt-max", "10"];
-    assert_eq!(told(&typed, &of_setup), ([7.0, 8.0], [0.4, 0.5, 10_f64.to_radians()]));
+    assert_eq!(lines_of(&typed, &of_setup), ([7.0, 8.0], [0.4, 0.5, 10_f64.to_radians()]));
     // A point is no polygon; nothing is said without a setup.
-    assert_eq!(told(&[], &with("click:300,200")), ([240.0, 180.0], [0.35, 0.65, 0.5]));
-    assert_eq!(told(&[], &ChosenTarget::default()), ([240.0, 180.0], [0.3, 0.8, 60_f64.to_radians()]));
+    assert_eq!(lines_of(&[], &with("click:300,200")), ([240.0, 180.0], [0.35, 0.65, 0.5]));
+    assert_eq!(lines_of(&[], &ChosenTarget::default()), ([240.0, 180.0], [0.3, 0.8, 60_f64.to_radians()]));
     let outside = draft(&place.args(&[]), &with("rect:600,120,80,60"), size).unwrap_err().to_string();
     assert!(outside.contains("camera.region: the corner 680,120 is outside"), "{outside}");
 }
@@ -459,15 +459,15 @@ fn a_shared_exposure_is_settled_first_and_each_change_is_recorded() {
     assert_eq!((line.pairs, line.wrong()), (150, None));
     let bag = StereoBag::open(&file, PairOptions::default()).unwrap();
     let messages = bag.bag().messages().map(Result::unwrap).filter(|message| message.channel.topic == ours::EXPOSURE);
-    let told: Vec<serde_json::Value> =
+    let lines_of: Vec<serde_json::Value> =
         messages.map(|message| serde_json::from_str(&decoded::<Text>(&message).unwrap().data).unwrap()).collect();
     // That of the first pair; then for each change the first pair after it, and the first settled one.
     let number = |value: &serde_json::Value, key: &str| value[key].as_f64().unwrap();
-    assert!(told.len() >= 5 && told[0]["is_settling"] == false, "{told:?}");
-    for two in told[1..].chunks(2).filter(|two| two.len() == 2) {
+    assert!(lines_of.len() >= 5 && lines_of[0]["is_settling"] == false, "{lines_of:?}");
+    for two in lines_of[1..].chunks(2).filter(|two| two.len() == 2) {
         assert!(two[0]["is_settling"] == true && two[1]["is_settling"] == false, "{two:?}");
         assert!(two[0]["changes"] == two[1]["changes"] && (1.0..=1.1).contains(&number(&two[0], "factor")), "{two:?}");
     }
-    let between: Vec<f64> = told[1..].chunks(2).map(|two| number(&two[0], "sequence")).collect();
+    let between: Vec<f64> = lines_of[1..].chunks(2).map(|two| number(&two[0], "sequence")).collect();
     assert!(between.windows(2).all(|two| two[1] - two[0] >= 29.0), "{between:?}");
 }

@@ -16,34 +16,34 @@ use pb3dp_servo::JointHistory;
 use pb3dp_servo::supervisor::FrameInput;
 use pb3dp_setup::setup::{Pace, Setup};
 
-use super::both_arms::in_words;
+use super::both_arms::error_text;
 use super::camera_controls::ControlDesk;
 use super::capturing::{Captured, Capturing};
 use super::cell::{JOINT_GAP_MAX_S, SimulatedCell};
 use super::halves::{CameraArmStep, Estimate};
 use super::percept::Percept;
-use super::perception::{Marking, Perception, Sight};
+use super::perception::{Perception, TargetSource, VisionInput};
 use super::selection::{Choice, Selection, Selections};
-use crate::noting::PairEstimate;
+use crate::estimate_log::PairEstimate;
 use crate::perception::View;
 use crate::true_surface::TrueSurface;
 
 /// Camera and estimation: each of the two parts may have its own thread.
-pub struct Looking<'a> {
+pub struct Vision<'a> {
     /// The camera.
     pub capturing: Capturing,
     /// The method that leads the hand.
     pub estimating: Estimating<'a>,
 }
 
-impl<'a> Looking<'a> {
+impl<'a> Vision<'a> {
     /// A camera whose pairs are not processed yet.
     ///
     /// # Errors
     /// As [`Perception::new`].
     pub fn new(
         setup: &'a Setup,
-        (camera, cell, marking): (Sight, SimulatedCell, Marking),
+        (camera, cell, marking): (VisionInput, SimulatedCell, TargetSource),
         clock: &Arc<dyn Clock>,
     ) -> Result<Self> {
         let cameras = Perception::new(setup, &camera, marking)?;
@@ -252,7 +252,7 @@ impl<'a> Estimating<'a> {
         }
         let estimate = estimate.unwrap_or_else(|refusal| {
             self.cameras.forget();
-            TrackEstimate::without_pose(Status::NotObservable, in_words(&refusal))
+            TrackEstimate::without_pose(Status::NotObservable, error_text(&refusal))
         });
         (estimate, prior)
     }
@@ -291,8 +291,8 @@ impl<S: CameraArmStep> Estimate<S> for Estimating<'_> {
     }
 
     fn look(&mut self, frame: Captured) -> Result<(Option<Percept>, PairEstimate)> {
-        let seen = Estimating::look(self, frame)?;
-        Ok((Some(seen.percept()), seen))
+        let pair_estimate = Estimating::look(self, frame)?;
+        Ok((Some(pair_estimate.percept()), pair_estimate))
     }
 }
 
@@ -342,7 +342,7 @@ mod tests {
 
     fn estimating<'a>(setup: &'a Setup, selections: &Selections) -> Estimating<'a> {
         let tracker = Tracker::new(Method::Direct, &setup.rig.stereo, &setup.estimator).unwrap();
-        let cameras = Perception::Images(Box::new(Follower::new(tracker, setup.range)), Marking::Awaited);
+        let cameras = Perception::Images(Box::new(Follower::new(tracker, setup.range)), TargetSource::FromOperator);
         let mut estimating = Estimating::new(setup, Arc::new(VirtualClock::new()), cameras);
         estimating.selections = Some(selections.clone());
         estimating
@@ -387,18 +387,22 @@ mod tests {
     #[test]
     fn a_plain_select_returns_to_the_target_of_the_setup() {
         let (setup, selections) = (sim(), Selections::default());
-        selections.set_target_of_setup(&Marking::Region(rectangle(200)));
+        selections.set_target_of_setup(&TargetSource::Region(rectangle(200)));
         let mut estimating = estimating(&setup, &selections);
         let mut look = |sequence: u64, choice: Option<Choice>| {
             choice.into_iter().for_each(|choice| selections.give(choice));
             estimating.take_selection();
-            let seen = estimating.look(captured(&setup, sequence)).unwrap();
-            let x = seen.region.map(|region| match region {
+            let pair_estimate = estimating.look(captured(&setup, sequence)).unwrap();
+            let x = pair_estimate.region.map(|region| match region {
                 Region::Rectangle { x, .. } => x,
                 other => panic!("{other:?}"),
             });
-            assert!(seen.target == 0 || seen.estimate.status == Status::Ok, "{:?}", seen.estimate);
-            (seen.target, x, seen.estimate.cam_left_from_model.is_some())
+            assert!(
+                pair_estimate.target == 0 || pair_estimate.estimate.status == Status::Ok,
+                "{:?}",
+                pair_estimate.estimate
+            );
+            (pair_estimate.target, x, pair_estimate.estimate.cam_left_from_model.is_some())
         };
         let other = || Choice::Marked(Selection { region: rectangle(350), drawn_on: None, model: None });
         assert_eq!(look(1, None), (0, None, false), "no target yet");

@@ -116,7 +116,7 @@ impl About {
             has_images: matches!(setup.leader, Leader::Images(_)),
             stereo: rig.stereo,
             is_calibrated: true,
-            calibration: calibration_in_words(setup),
+            calibration: calibration_text(setup),
             calibrations: rig
                 .calibrations
                 .iter()
@@ -211,7 +211,7 @@ impl AboutArm {
 }
 
 /// State of the calibration in words.
-fn calibration_in_words(setup: &Setup) -> String {
+fn calibration_text(setup: &Setup) -> String {
     match (&setup.rig.nominal_calibration, setup.rig.calibrations.is_empty()) {
         (Some(nominal), _) => format!("nominal, not measured: {nominal}"),
         (None, true) => "stated in the setup".to_owned(),

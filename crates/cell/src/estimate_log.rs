@@ -12,21 +12,21 @@ use pb3dp_servo::TargetObservation;
 use pb3dp_setup::setup::{Setup, Synchronisation};
 
 use super::capturing::Captured;
-use super::compared::Onlooker;
+use super::compared::ComparedMethod;
 use super::drift::{DriftWatch, WhenCalibrated};
 use super::percept::Percept;
-use super::perception::Marking;
+use super::perception::TargetSource;
 use super::recording::Recording;
 use super::selection::Choice;
 use super::strip::Strip;
 
 /// What happens with each pair besides the record of the leading method.
 pub(super) struct PairRecords {
-    pub onlookers: Vec<Onlooker>,
+    pub onlookers: Vec<ComparedMethod>,
     /// Annotated images from moments of interest.
     pub strip: Strip,
     /// The folder to which pairs are recorded, and how the target is marked.
-    pub recording: Option<(Recording, Marking)>,
+    pub recording: Option<(Recording, TargetSource)>,
     /// Camera drift since calibration, if it is measured.
     pub drift: Option<DriftWatch>,
 }
@@ -38,7 +38,7 @@ impl PairRecords {
         if !setup.leader.needs_images() {
             return Ok(records);
         }
-        Ok(Self { onlookers: Onlooker::all_of(setup)?, strip, drift: watch(setup)?, ..records })
+        Ok(Self { onlookers: ComparedMethod::all_of(setup)?, strip, drift: watch(setup)?, ..records })
     }
 }
 

@@ -129,7 +129,7 @@ fn every_state_and_every_condition_has_a_line_of_its_own() {
 }
 
 #[test]
-fn what_never_came_is_said_so() {
+fn a_missing_observation_is_reported_as_never_received() {
     for condition in [
         Condition::OperatorSilent,
         Condition::JointsStale,
@@ -147,9 +147,9 @@ fn what_never_came_is_said_so() {
 }
 
 #[test]
-fn every_refusal_has_words_of_its_own() {
+fn every_refusal_has_its_own_text() {
     let mut lines = BTreeSet::new();
-    for word in OperatorCommand::ALL {
+    for command in OperatorCommand::ALL {
         let age = RefusedFor::Age { age_s: 0.7, age_max_s: 0.5 };
         let not_clear = |cause| RefusedFor::NotClear { cause, clear_s: 0.07, wanted_s: 0.2 };
         let mut reasons = vec![age, RefusedFor::OlderThanTarget, not_clear(None)];
@@ -159,15 +159,15 @@ fn every_refusal_has_words_of_its_own() {
         }
         reasons.extend(causes().into_iter().map(|(cause, _)| RefusedFor::Cause(cause)));
         for because in reasons {
-            let line = Refusal { word, because }.to_string();
-            assert!(line.starts_with(&format!("{} refused: ", word.name())) && !line.contains('\n'), "{line}");
+            let line = Refusal { command, because }.to_string();
+            assert!(line.starts_with(&format!("{} refused: ", command.name())) && !line.contains('\n'), "{line}");
             assert!(lines.insert(line.clone()), "duplicate: {line}");
         }
     }
-    let age =
-        Refusal { word: OperatorCommand::Start, because: RefusedFor::Age { age_s: 0.7, age_max_s: 0.5 } }.to_string();
+    let age = Refusal { command: OperatorCommand::Start, because: RefusedFor::Age { age_s: 0.7, age_max_s: 0.5 } }
+        .to_string();
     let not_clear = RefusedFor::NotClear { cause: Some(causes()[0].0), clear_s: 0.07, wanted_s: 0.2 };
-    let line = Refusal { word: OperatorCommand::Resume, because: not_clear }.to_string();
+    let line = Refusal { command: OperatorCommand::Resume, because: not_clear }.to_string();
     assert!(line.contains("0.070 s") && line.contains("0.200 s") && line.contains("repeat it"), "{line}");
     assert!(age.contains("0.700 s") && age.contains("0.500 s") && age.contains("repeat it"), "{age}");
 }
@@ -184,12 +184,12 @@ fn a_refusal_says_what_to_use_instead() {
         (State::Stopped, "stopped; use reset first"),
         (State::Fault, "fault; use reset first"),
     ] {
-        let refusal = Refusal { word: OperatorCommand::Select, because: RefusedFor::State(state) };
+        let refusal = Refusal { command: OperatorCommand::Select, because: RefusedFor::State(state) };
         let line = format!("select refused: not possible in the state {instead} [PB3DP-SUP-101]");
         assert_eq!(refusal.to_string(), line);
     }
     let (pressed, _) = causes()[0];
-    let line = |word| Refusal { word, because: RefusedFor::Cause(pressed) }.to_string();
+    let line = |command| Refusal { command, because: RefusedFor::Cause(pressed) }.to_string();
     assert!(line(OperatorCommand::Reset).contains("; release the switch, then use reset again ["));
     assert!(line(OperatorCommand::Start).contains("; release the switch ["));
 }
@@ -211,7 +211,7 @@ fn the_remedy_depends_on_what_is_missing() {
 }
 
 #[test]
-fn only_some_rests_wait_for_the_word_resume() {
+fn only_some_holds_wait_for_the_command_resume() {
     let (cause, _) = causes()[0];
     let (state, by_itself) = (State::Holding, Then::ByItself { after_s: 0.2 });
     for (why, expected) in [
@@ -309,9 +309,9 @@ fn the_line_after_select_is_that_of_the_next_step() {
             let selected = bench.say(OperatorCommand::Select);
             assert_eq!(selected.state, State::Selecting, "{number}");
             let next = bench.step();
-            let said = selected.why.to_string();
-            assert!(said.starts_with("selecting: no confident pose yet; "), "{number} {command:?}: {said}");
-            assert_eq!(said, next.why.to_string(), "{number} {command:?}");
+            let request = selected.why.to_string();
+            assert!(request.starts_with("selecting: no confident pose yet; "), "{number} {command:?}: {request}");
+            assert_eq!(request, next.why.to_string(), "{number} {command:?}");
         }
     }
 }

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use pb3dp_cell::moving::Moved;
+use pb3dp_cell::moving::StepRecord;
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_kinematics::JointVector;
 use pb3dp_servo::supervisor::{ArmCondition, Condition, Decision, Event, Outcome, State, Why, table};
@@ -16,7 +16,7 @@ use crate::messages::state::{
     Truth,
 };
 use crate::messages::{time_ms, transform_of};
-use crate::target_of::{HandPlace, target_of};
+use crate::target_state::{HandPlace, target_state};
 
 /// Time over which rates are measured.
 const WINDOW: Duration = Duration::from_secs(1);
@@ -26,7 +26,7 @@ pub struct StateBuilder {
     /// The newest decision.
     pub shown: Option<ShownDecision>,
     /// The newest control step.
-    pub step: Option<Moved>,
+    pub step: Option<StepRecord>,
     /// Problem that the operator must know.
     pub trouble: Option<String>,
     /// Since when each condition is active.
@@ -68,7 +68,7 @@ impl StateBuilder {
         let jog = *hub.jog();
         let model_from_surface = self.step.as_ref().map_or_else(Pose::coincident, |step| step.model_from_surface);
         let hand = HandPlace { world_from_cam_left, model_from_surface, jog };
-        let (target, error) = target_of(&hub.about, newest.as_deref(), &hand, now);
+        let (target, error) = target_state(&hub.about, newest.as_deref(), &hand, now);
         let targets = hub.targets();
         let saved = targets.saved.iter().map(|(name, _)| name.clone()).collect();
         let target_name = targets.name.clone().filter(|_| target.id.is_some());
@@ -185,8 +185,9 @@ impl StateBuilder {
     fn operator(&self, hub: &Hub, now: MonotonicTime) -> OperatorState {
         let lease = hub.lease();
         let holder = lease.holder(now).map(|holder| HolderState { id: holder.id, name: holder.name.clone() });
-        let heard_ms_ago = lease.heard_at().map(|heard_at| now.saturating_since(heard_at).as_secs_f64() * 1e3);
-        OperatorState { holder, heard_ms_ago, trouble: self.trouble.clone() }
+        let heartbeat_ms_ago =
+            lease.heartbeat_at().map(|heartbeat_at| now.saturating_since(heartbeat_at).as_secs_f64() * 1e3);
+        OperatorState { holder, heartbeat_ms_ago, trouble: self.trouble.clone() }
     }
 
     fn arms(&self, hub: &Hub) -> Vec<ArmState> {
@@ -212,7 +213,7 @@ impl StateBuilder {
             };
             ArmState {
                 name: about.name.clone(),
-                condition: condition_word(step.conditions[index]),
+                condition: condition_name(step.conditions[index]),
                 position_deg: degrees(position_rad),
                 speed_deg_per_s: degrees(&self.speeds_rad_per_s[index]),
                 near: (0..joints).map(near).collect(),
@@ -255,7 +256,7 @@ fn condition_in(why: &Why) -> Option<Condition> {
     }
 }
 
-fn condition_word(condition: ArmCondition) -> &'static str {
+fn condition_name(condition: ArmCondition) -> &'static str {
     match condition {
         ArmCondition::Disabled => "disabled",
         ArmCondition::Enabled => "enabled",

@@ -4,8 +4,8 @@ use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_geometry::frames::{CamLeft, Hand, Model, Surface, World};
 use pb3dp_geometry::{MonotonicTime, Pose};
 
-use crate::about::About;
 use crate::drawing::{axes, outline_right};
+use crate::facts::About;
 use crate::messages::state::{JogState, TargetState};
 use crate::messages::{degrees, millimetres, pixels, sigmas, transform_of};
 use crate::spectator::NewestEstimate;
@@ -21,7 +21,7 @@ pub struct HandPlace {
 }
 
 /// The target, and the distance and angle of the hand from its desired pose, in millimetres and degrees.
-pub fn target_of(
+pub fn target_state(
     about: &About,
     newest: Option<&NewestEstimate>,
     &HandPlace { world_from_cam_left, model_from_surface, jog }: &HandPlace,

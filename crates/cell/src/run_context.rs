@@ -4,10 +4,10 @@ use anyhow::Result;
 use pb3dp_setup::setup::Pace;
 
 use super::cycles::Punctuality;
-use super::halves::{Capture, Course, Estimate, Mover, Record, VisionParts};
+use super::halves::{Capture, Estimate, Mover, Record, RunContext, VisionParts};
 use super::{live, lockstep};
 
-impl Course<'_> {
+impl RunContext<'_> {
     /// Steps both halves from enabling both arms until they are stopped, in the loop for the pace of the setup. The timing of each thread
     /// is only available in real time.
     ///

@@ -44,8 +44,8 @@ pub fn watchdog_refusal(command_timeout: Duration, hello: &HelloReply) -> Option
 }
 
 /// Warning if the configuration or the gateway does not state the geometry.
-pub fn geometry_doubt(configured: Geometry, told: Geometry) -> Option<&'static str> {
-    match (configured, told) {
+pub fn geometry_doubt(configured: Geometry, reported: Geometry) -> Option<&'static str> {
+    match (configured, reported) {
         (Geometry::Unknown, Geometry::Unknown) => Some(
             "the arm geometry is set neither in the configuration nor at the gateway, so the lengths of the robot description are \
              not checked: measure the arm, then set geometry on both sides",

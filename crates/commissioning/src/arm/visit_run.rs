@@ -19,9 +19,9 @@ use pb3dp_setup::setup::{Pace, Setup};
 
 use super::drive::{ARRIVED_WITHIN_RAD, GAIN_PER_S, LATE_MAX};
 use super::stillness::shift_px;
-use pb3dp_cell::both_arms::{BothArms, LedArm};
+use pb3dp_cell::both_arms::{BothArms, CellArm};
 use pb3dp_cell::capturing::{Captured, Capturing};
-use pb3dp_cell::halves::{Capture, Course, Estimate, Mover, Record};
+use pb3dp_cell::halves::{Capture, Estimate, Mover, Record, RunContext};
 use pb3dp_cell::parts::{ArmChoice, Parts};
 use pb3dp_cell::percept::Percept;
 use pb3dp_cell::perception::View;
@@ -60,7 +60,7 @@ impl Tour {
     }
 
     /// Duration of the paths alone.
-    pub fn ways_take(&self) -> Duration {
+    pub fn travel_time(&self) -> Duration {
         self.ways.iter().map(Plan::duration).sum()
     }
 }
@@ -71,7 +71,7 @@ pub struct Visited {
     /// Number of stops with a recorded pair.
     pub taken: usize,
     /// Stops without stationary images in time, numbered from 1.
-    pub restless: Vec<usize>,
+    pub unsettled_stops: Vec<usize>,
     /// Whether the tour reached its end.
     pub is_whole: bool,
 }
@@ -100,15 +100,15 @@ pub struct Output {
 pub fn run(setup: &Setup, parts: Parts, tour: &Tour, output: Output, date: String) -> Result<Visited> {
     let Parts { clock, camera, vs, tc, cell, emulated, interrupt, .. } = parts;
     let progress = Progress::default();
-    let mut looking = Looking {
+    let mut looking = StopCapture {
         capturing: Capturing::new(setup, camera, cell),
         // In simulation, images that are not used are not rendered.
         unless_under_way: setup.world.is_some().then_some(&progress),
         pause: (setup.pace == Pace::Live).then_some((&*clock, setup.rig.frames.period)),
     };
     let mut resting = Resting { exposure: setup.rig.frames.exposure, step: None, sums: Sums::default(), before: None };
-    let mut keeping = Keeping::new(setup, (output, date), &progress)?;
-    let mut visiting = Visiting {
+    let mut stop_recorder = StopRecorder::new(setup, (output, date), &progress)?;
+    let mut visit_run = VisitMotion {
         arms: BothArms::new(setup, (vs, tc), clock.now()),
         tour,
         progress: &progress,
@@ -117,26 +117,27 @@ pub fn run(setup: &Setup, parts: Parts, tour: &Tour, output: Output, date: Strin
         way: 0,
         is_whole: false,
     };
-    let course = Course { setup, clock: &clock, duration: tour.duration_max(), interrupt: &interrupt };
-    let (ended, _) = course.run((&mut looking, &mut resting, &mut keeping), &mut visiting);
-    let Visiting { arms, way, is_whole, .. } = visiting;
+    let run_context = RunContext { setup, clock: &clock, duration: tour.duration_max(), interrupt: &interrupt };
+    let (ended, _) = run_context.run((&mut looking, &mut resting, &mut stop_recorder), &mut visit_run);
+    let VisitMotion { arms, way, is_whole, .. } = visit_run;
     // The arms are dropped before the emulators at the other end of their links.
     drop(arms);
     drop(emulated);
-    let Keeping { taken, output, .. } = keeping;
+    let StopRecorder { taken, output, .. } = stop_recorder;
     let written = output.file.map_or(Ok(()), StopsRecording::finish);
-    let restless = (0..way.min(tour.stops())).filter(|stop| !taken.contains(stop)).map(|stop| stop + 1).collect();
-    ended.and(written).map(|()| Visited { taken: taken.len(), restless, is_whole })
+    let unsettled_stops =
+        (0..way.min(tour.stops())).filter(|stop| !taken.contains(stop)).map(|stop| stop + 1).collect();
+    ended.and(written).map(|()| Visited { taken: taken.len(), unsettled_stops, is_whole })
 }
 
 /// Records one pair at the current pose, with closed brakes.
 ///
 /// # Errors
 /// As [`run`], and if no image is stationary within `patience`.
-pub fn look_here(setup: &Setup, parts: Parts, patience: Duration, output: Output, date: String) -> Result<()> {
+pub fn record_here(setup: &Setup, parts: Parts, patience: Duration, output: Output, date: String) -> Result<()> {
     let Parts { clock, camera, vs, tc, cell, emulated, interrupt, .. } = parts;
     let progress = Progress::default();
-    let mut keeping = Keeping::new(setup, (output, date), &progress)?;
+    let mut stop_recorder = StopRecorder::new(setup, (output, date), &progress)?;
     let mut capturing = Capturing::new(setup, camera, cell);
     let mut arms = BothArms::new(setup, (vs, tc), clock.now());
     let (begin, mut before, mut shift) = (clock.now(), None::<Arc<FramePair>>, f64::INFINITY);
@@ -152,15 +153,15 @@ pub fn look_here(setup: &Setup, parts: Parts, patience: Duration, output: Output
         shift = before.as_ref().map_or(f64::INFINITY, |before| shift_of(before, &pair));
         if shift <= STILL_WITHIN_PX {
             let [vs_rad, tc_rad] = [&arms.vs, &arms.tc].map(|arm| arm.joints().position_rad);
-            keeping.moved(&VisitStep { at: pair.exposed_at, vs_rad, tc_rad, rest: None });
-            keeping.keep(&Still { stop: 0, pair, vs_rad, tc_rad })?;
+            stop_recorder.moved(&VisitStep { at: pair.exposed_at, vs_rad, tc_rad, rest: None });
+            stop_recorder.keep(&Still { stop: 0, pair, vs_rad, tc_rad })?;
             break;
         }
         before = Some(pair);
     }
     drop(arms);
     drop(emulated);
-    keeping.output.file.map_or(Ok(()), StopsRecording::finish)
+    stop_recorder.output.file.map_or(Ok(()), StopsRecording::finish)
 }
 
 fn pair_of(captured: Captured) -> Option<Arc<FramePair>> {
@@ -199,7 +200,7 @@ enum Phase {
 }
 
 /// The motion half of a tour.
-struct Visiting<'a> {
+struct VisitMotion<'a> {
     arms: BothArms,
     tour: &'a Tour,
     progress: &'a Progress,
@@ -209,7 +210,7 @@ struct Visiting<'a> {
     is_whole: bool,
 }
 
-impl Mover for Visiting<'_> {
+impl Mover for VisitMotion<'_> {
     type Step = VisitStep;
 
     fn enable(&mut self) -> Result<bool> {
@@ -229,8 +230,8 @@ impl Mover for Visiting<'_> {
     }
 }
 
-impl Visiting<'_> {
-    fn led(&mut self) -> [&mut LedArm; 2] {
+impl VisitMotion<'_> {
+    fn led(&mut self) -> [&mut CellArm; 2] {
         match self.tour.choice {
             ArmChoice::Vs => [&mut self.arms.vs, &mut self.arms.tc],
             ArmChoice::Tc => [&mut self.arms.tc, &mut self.arms.vs],
@@ -314,14 +315,14 @@ impl Visiting<'_> {
 }
 
 /// The camera; with a progress, no images are requested while the arm moves.
-struct Looking<'a> {
+struct StopCapture<'a> {
     capturing: Capturing,
     unless_under_way: Option<&'a Progress>,
     /// Replaces the wait for an image where nothing else paces the loop.
     pause: Option<(&'a dyn Clock, Duration)>,
 }
 
-impl Capture for Looking<'_> {
+impl Capture for StopCapture<'_> {
     fn capture(&mut self) -> Result<Option<Captured>> {
         match self.unless_under_way {
             Some(progress) if progress.is_under_way.load(Ordering::SeqCst) => {
@@ -395,7 +396,7 @@ impl Estimate<VisitStep> for Resting {
 }
 
 /// Writes pairs and joints.
-struct Keeping<'a> {
+struct StopRecorder<'a> {
     output: Output,
     stops: Stops,
     /// Numbers of the recorded stops.
@@ -404,7 +405,7 @@ struct Keeping<'a> {
     progress: &'a Progress,
 }
 
-impl<'a> Keeping<'a> {
+impl<'a> StopRecorder<'a> {
     fn new(setup: &Setup, (output, date): (Output, String), progress: &'a Progress) -> Result<Self> {
         for folder in output.folder.iter().flat_map(|folder| ["left", "right"].map(|side| folder.join(side))) {
             std::fs::create_dir_all(&folder).with_context(|| format!("{}: cannot be created", folder.display()))?;
@@ -443,7 +444,7 @@ fn stand((chain, joints_rad): (&Chain, &JointVector)) -> ArmStand {
     ArmStand { joints_rad: joints, base_from_flange: chain.forward(joints_rad) }
 }
 
-impl Record<VisitStep, Option<Still>> for Keeping<'_> {
+impl Record<VisitStep, Option<Still>> for StopRecorder<'_> {
     /// Records the joints of a control step.
     fn moved(&mut self, step: &VisitStep) {
         if let Some(file) = &mut self.output.file {
@@ -451,8 +452,8 @@ impl Record<VisitStep, Option<Still>> for Keeping<'_> {
         }
     }
 
-    fn note(&mut self, seen: Option<Still>) -> Result<()> {
-        seen.map_or(Ok(()), |still| self.keep(&still))
+    fn note(&mut self, still_stop: Option<Still>) -> Result<()> {
+        still_stop.map_or(Ok(()), |still| self.keep(&still))
     }
 }
 

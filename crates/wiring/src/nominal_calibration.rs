@@ -63,18 +63,18 @@ mod tests {
 
     #[test]
     fn only_emulated_arms_move_by_the_calibration_of_no_cameras() {
-        let told = |arms: [Option<&str>; 2]| {
+        let warning_for = |arms: [Option<&str>; 2]| {
             let arms = ["vs-robot", "tc-robot"].into_iter().zip(arms.map(|firmware| firmware.map(str::to_owned)));
             refuse_real("none: a drawing", arms).map_err(|refusal| refusal.to_string())
         };
-        assert_eq!(told([Some("pb3dp emulation"), Some("mock-arm 0.1.0")]), Ok(()));
+        assert_eq!(warning_for([Some("pb3dp emulation"), Some("mock-arm 0.1.0")]), Ok(()));
         // A gateway of this project has a real controller behind it; an arm on a bus of this computer reports no firmware.
         for (arms, name) in [
             ([Some("pb3dp gateway 0.1.0"), Some("mock-arm 0.1.0")], "vs-robot"),
             ([Some("mock-arm 0.1.0"), Some("PA-10 gateway")], "tc-robot"),
             ([Some("mock-arm 0.1.0"), None], "tc-robot"),
         ] {
-            let refusal = told(arms).unwrap_err();
+            let refusal = warning_for(arms).unwrap_err();
             assert!(refusal.starts_with(&format!("{name} may not move")), "{refusal}");
             assert!(refusal.contains("(none: a drawing)") && refusal.contains("--nominal-calibration"), "{refusal}");
         }

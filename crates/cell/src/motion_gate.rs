@@ -12,7 +12,7 @@ use pb3dp_servo::{ControlStep, ObservationVerdict};
 use super::percept::Percept;
 
 /// The supervisor of a run.
-pub struct Permitting {
+pub struct MotionGate {
     supervisor: Supervisor,
     /// The operating range of the arm that carries the cameras.
     limits: JointLimits,
@@ -21,7 +21,7 @@ pub struct Permitting {
     arms_before: [ArmCondition; 2],
 }
 
-impl Permitting {
+impl MotionGate {
     /// No motion is permitted yet.
     ///
     /// # Errors
@@ -38,11 +38,11 @@ impl Permitting {
 
     /// Whether a command is a reset that clears the arms: the supervisor accepts it apart from faults latched in the arms, and each of
     /// these was known to it in the previous step.
-    pub fn would_reset(&self, said: OperatorRequest, arms: [ArmCondition; 2], now: MonotonicTime) -> bool {
+    pub fn would_reset(&self, request: OperatorRequest, arms: [ArmCondition; 2], now: MonotonicTime) -> bool {
         let is_latched = |arm: ArmCondition| !matches!(arm, ArmCondition::Enabled | ArmCondition::Disabled);
         let is_known =
             self.arms_before.into_iter().zip(arms).all(|(before, arm)| is_latched(before) || !is_latched(arm));
-        is_known && self.supervisor.would_reset(said, now)
+        is_known && self.supervisor.would_reset(request, now)
     }
 
     /// Decides the permission for this step; both arms with their measurements, the one with the cameras first.
@@ -99,7 +99,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_joint_with_the_least_way_left_is_told() {
+    fn the_joint_nearest_to_its_limit_is_reported() {
         let min_rad = JointVector::from([-1.0, -1.0, -2.0, -0.5, -3.0, -1.0, -4.0]);
         let max_rad = JointVector::from([1.0, 2.0, 1.0, 2.5, 3.0, 1.5, 4.0]);
         let limits = JointLimits::new(min_rad, max_rad, JointVector::from_element(1.0)).unwrap();
@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn a_jump_is_told_with_its_size_and_what_was_not_looked_at_is_no_agreement() {
+    fn a_jump_is_reported_with_its_size_and_unchecked_quantities_do_not_agree() {
         let jump = ObservationVerdict::Jump { position_m: 0.3, orientation_rad: 0.1 };
         assert_eq!(innovation(&jump), Innovation::Jump { position_m: 0.3, orientation_rad: 0.1 });
         let outlier = ObservationVerdict::Outlier { distance_squared: 49.0 };

@@ -53,7 +53,7 @@ impl Lines {
 }
 
 /// The connection thread.
-pub(super) struct Door {
+pub(super) struct Listener {
     pub shared: Arc<Shared>,
     pub lines: LineEnds,
     pub tell: SyncSender<String>,
@@ -64,12 +64,12 @@ pub(super) struct Door {
 /// Time of the next attempt, and the last message.
 struct Patience {
     again: MonotonicTime,
-    said: Option<String>,
+    last_message: Option<String>,
 }
 
 impl Patience {
     fn new() -> Self {
-        Self { again: MonotonicTime::ZERO, said: None }
+        Self { again: MonotonicTime::ZERO, last_message: None }
     }
 
     fn is_over(&self) -> bool {
@@ -80,10 +80,10 @@ impl Patience {
     fn note(&mut self, error: Option<&(dyn std::error::Error + 'static)>, what: &str) -> Option<String> {
         self.again = now() + AGAIN;
         let text = error.map(|error| format!("{what} cannot be opened: {}", chain(error)));
-        if self.said == text {
+        if self.last_message == text {
             return None;
         }
-        self.said.clone_from(&text);
+        self.last_message.clone_from(&text);
         text
     }
 }
@@ -100,7 +100,7 @@ fn chain(error: &(dyn std::error::Error + 'static)) -> String {
     text
 }
 
-impl Door {
+impl Listener {
     pub fn run(mut self) {
         let (mut host, mut bus) = (Patience::new(), Patience::new());
         let mut holder = None;
@@ -116,8 +116,8 @@ impl Door {
                 }
                 HostSide::Line(connector) => {
                     if !self.shared.has_host.load(Ordering::SeqCst) && host.is_over() {
-                        let said = open_line(connector.as_mut(), &self.shared, &self.lines, &mut host);
-                        said.into_iter().for_each(|text| say(&self.tell, text));
+                        let last_message = open_line(connector.as_mut(), &self.shared, &self.lines, &mut host);
+                        last_message.into_iter().for_each(|text| say(&self.tell, text));
                     }
                     sleep_until(now() + LOOK);
                 }
@@ -126,7 +126,7 @@ impl Door {
     }
 
     fn open_bus(&mut self, patience: &mut Patience) {
-        let said = match (self.bus)() {
+        let last_message = match (self.bus)() {
             Ok(port) => {
                 self.shared.wants_bus.store(false, Ordering::SeqCst);
                 let _ = self.lines.buses.try_send(port);
@@ -135,7 +135,7 @@ impl Door {
             }
             Err(error) => patience.note(Some(error.as_ref()), "the bus"),
         };
-        said.into_iter().for_each(|text| say(&self.tell, text));
+        last_message.into_iter().for_each(|text| say(&self.tell, text));
     }
 }
 
@@ -174,7 +174,7 @@ fn admit(
 ) {
     wait_for_input(admission);
     let at = now();
-    let silent = at.saturating_since(MonotonicTime::from_nanos(shared.heard.load(Ordering::SeqCst)));
+    let silent = at.saturating_since(MonotonicTime::from_nanos(shared.last_received_nanos.load(Ordering::SeqCst)));
     let is_held = shared.has_host.load(Ordering::SeqCst) && silent < GIVES_WAY;
     let held_by = holder.filter(|_| is_held);
     if let Some(Admitted { link, peer }) = admission.poll(at, held_by, &mut |text| say(tell, text))
@@ -196,7 +196,7 @@ fn wait_for_input(admission: &Admission) {
 
 /// Hands a line to the cycle thread, unless that has not taken the one before. `has_host` is set before the line is handed over: the cycle thread may find the line closed at once, and must clear it last.
 fn hand_over(link: Box<dyn ByteLink>, shared: &Shared, lines: &LineEnds) -> bool {
-    shared.heard.store(now().as_nanos(), Ordering::SeqCst);
+    shared.last_received_nanos.store(now().as_nanos(), Ordering::SeqCst);
     let had_host = shared.has_host.swap(true, Ordering::SeqCst);
     let is_taken = lines.hosts.try_send(link).is_ok();
     if is_taken {
@@ -227,11 +227,11 @@ mod tests {
             has_host: AtomicBool::new(false),
             is_local: AtomicBool::new(false),
             wants_bus: AtomicBool::new(false),
-            heard: AtomicU64::new(0),
+            last_received_nanos: AtomicU64::new(0),
             waker: eventfd(0, EventfdFlags::NONBLOCK | EventfdFlags::CLOEXEC).unwrap(),
         });
-        let (cycle, door) = Lines::pairs();
-        let (seen, back) = sync_channel(0);
+        let (cycle, listener) = Lines::pairs();
+        let (accepted, back) = sync_channel(0);
         let for_cycle = Arc::clone(&shared);
         let consumer = std::thread::spawn(move || {
             loop {
@@ -239,7 +239,7 @@ mod tests {
                     Ok(link) => {
                         for_cycle.has_host.store(true, Ordering::SeqCst);
                         for_cycle.has_host.store(false, Ordering::SeqCst);
-                        if seen.send(link).is_err() {
+                        if accepted.send(link).is_err() {
                             return;
                         }
                     }
@@ -250,11 +250,11 @@ mod tests {
         });
         let mut link: Box<dyn ByteLink> = Box::new(Pty::open().unwrap());
         for round in 0..sweep(2_000, 20_000) {
-            hand_over(link, &shared, &door);
+            hand_over(link, &shared, &listener);
             link = back.recv().unwrap();
             assert!(!shared.has_host.load(Ordering::SeqCst), "round {round}");
         }
-        drop((door, back));
+        drop((listener, back));
         consumer.join().unwrap();
     }
 }

@@ -10,7 +10,7 @@ pub(super) type SharedPlant = Arc<Mutex<JointPlant>>;
 
 /// An arm that is emulated in simulated time: the far end of its line and its joints. It outlives the program that moves it.
 #[derive(Clone)]
-pub struct StandingArm {
+pub struct SimulatedArm {
     /// Name of the arm.
     pub name: &'static str,
     /// Far end of its line.

@@ -51,7 +51,7 @@ fn is_link_lost(bench: &BusBench) -> bool {
 fn assert_ended(bench: &BusBench, place: &str) {
     assert!(bench.is_at_rest() && bench.controller.is_braked(), "{place}: it moves with {} rad/s", bench.speed());
     assert_eq!(bench.controller.mode(), ControlMode::Adjustment, "{place}");
-    assert!(!bench.driver.is_unheard() && bench.driver.activity() == Activity::None, "{place}");
+    assert!(!bench.driver.stop_unacknowledged() && bench.driver.activity() == Activity::None, "{place}");
 }
 
 fn reset(bench: &mut BusBench, place: &str) {
@@ -91,12 +91,13 @@ fn an_outage_that_ends_at_any_step_of_the_stop_order_leaves_no_arm_moving() {
 }
 
 #[test]
-fn an_outage_within_the_order_that_is_heard_is_no_end_of_it() {
+fn an_outage_during_the_acknowledged_stop_order_does_not_end_it() {
     for format in WireFormat::ALL {
-        for heard_ms in (1..230).step_by(6) {
-            let place = format!("{format}, heard for {heard_ms} ms");
+        for heartbeat_ms in (1..230).step_by(6) {
+            let place = format!("{format}, heard for {heartbeat_ms} ms");
             let mut bench = moving(format);
-            for (time, deaf) in [(0, "deaf 1000000"), (700, "deaf 0"), (heard_ms, "deaf 1000000"), (900, "deaf 0")] {
+            for (time, deaf) in [(0, "deaf 1000000"), (700, "deaf 0"), (heartbeat_ms, "deaf 1000000"), (900, "deaf 0")]
+            {
                 run_held(&mut bench, ms(time), &place);
                 bench.inject(deaf);
             }
@@ -120,7 +121,7 @@ fn a_controller_that_was_switched_off_and_on_is_reset() {
             bench.only_in_control = only_in_control;
             bench.inject("power on");
             run_held(&mut bench, ms(1000), &place);
-            assert_eq!(bench.driver.is_unheard(), only_in_control, "{place}");
+            assert_eq!(bench.driver.stop_unacknowledged(), only_in_control, "{place}");
             assert!(is_link_lost(&bench), "{place}");
             reset(&mut bench, &place);
         }
@@ -129,7 +130,7 @@ fn a_controller_that_was_switched_off_and_on_is_reset() {
 
 /// A silent arm receives no message that opens a brake or disables a servo.
 #[test]
-fn nobody_is_reset_or_connected_to_who_is_not_heard() {
+fn a_silent_arm_is_neither_reset_nor_connected() {
     for format in WireFormat::ALL {
         let mut bench = moving(format);
         bench.inject("deaf 1000000");
@@ -138,17 +139,17 @@ fn nobody_is_reset_or_connected_to_who_is_not_heard() {
         bench.wanted = None;
         bench.request(Request::Reset);
         bench.settle();
-        assert!(is_link_lost(&bench) && bench.driver.is_unheard());
+        assert!(is_link_lost(&bench) && bench.driver.stop_unacknowledged());
         assert!(bench.letters.starts_with('C') && bench.letters.contains("EEE"), "{}", bench.letters);
         assert!(!bench.letters.contains(['S', 'A']), "{}", bench.letters);
-        let said = bench.letters.len();
+        let letters_before = bench.letters.len();
         bench.run(ms(100));
-        assert_eq!(bench.letters[said..], "C".repeat(bench.letters.len() - said), "it goes on");
-        assert!(bench.letters.len() - said >= 49);
+        assert_eq!(bench.letters[letters_before..], "C".repeat(bench.letters.len() - letters_before), "it goes on");
+        assert!(bench.letters.len() - letters_before >= 49);
         killed(&mut bench);
         bench.request(Request::Connect);
         bench.settle();
-        assert!(is_link_lost(&bench) && bench.driver.is_unheard());
+        assert!(is_link_lost(&bench) && bench.driver.stop_unacknowledged());
         assert!(!bench.letters.contains('S'), "{}", bench.letters);
         bench.inject("deaf 0");
         run_held(&mut bench, ms(400), "it is heard");
@@ -159,7 +160,7 @@ fn nobody_is_reset_or_connected_to_who_is_not_heard() {
 
 /// The bus recovers at any time of a reset, or of the check of a moving arm: any message may be the first to arrive.
 #[test]
-fn whatever_is_heard_first_lets_no_joint_go() {
+fn no_first_answer_releases_a_joint() {
     for format in WireFormat::ALL {
         for request in [Request::Reset, Request::Connect] {
             for after_ms in (0..760).step_by(10) {

@@ -20,7 +20,7 @@ fn a_hand_that_was_kept_at_rest_starts_softly() {
     let resting = cell.joints;
     for _ in 0..500 {
         cell.step(&target);
-        cell.controller.note_told(Command::Hold);
+        cell.controller.set_executed_command(Command::Hold);
         cell.joints = pb3dp_kinematics::JointState { at: cell.now(), ..resting };
     }
     let first = cell.step(&target);

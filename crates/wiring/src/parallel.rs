@@ -7,7 +7,7 @@ use std::thread::{Builder, scope};
 const STACK_BYTES: usize = 512 << 10;
 
 /// Calls both at the same time: `second` on a new thread, or afterwards if the system provides no thread.
-pub fn at_once(first: &mut (dyn FnMut() + Send), second: &mut (dyn FnMut() + Send)) {
+pub fn parallel(first: &mut (dyn FnMut() + Send), second: &mut (dyn FnMut() + Send)) {
     let mut is_second_done = false;
     scope(|scope| {
         let thread = Builder::new().name("right camera".to_owned()).stack_size(STACK_BYTES);
@@ -33,7 +33,7 @@ mod tests {
             met.wait();
             firsts += 1;
         };
-        at_once(&mut first, &mut || {
+        parallel(&mut first, &mut || {
             met.wait();
             seconds += 1;
         });

@@ -52,7 +52,11 @@ fn assert_ended(chain: &Chain, place: &str) {
     let (_, speed) = chain.controller.true_joints();
     assert!(chain.is_at_rest() && chain.controller.is_braked(), "{place}: it moves with {}", speed.amax());
     assert_eq!(chain.controller.mode(), ControlMode::Adjustment, "{place}");
-    assert!(chain.gateway.is_at_rest() && !chain.gateway.status().is_unheard, "{place}: {:?}", chain.gateway.status());
+    assert!(
+        chain.gateway.is_at_rest() && !chain.gateway.status().stop_unacknowledged,
+        "{place}: {:?}",
+        chain.gateway.status()
+    );
 }
 
 fn latched(chain: &Chain) -> (GatewayState, StopCause) {
@@ -109,12 +113,13 @@ fn an_outage_that_ends_at_any_step_of_the_stop_order_leaves_no_arm_moving() {
 }
 
 #[test]
-fn an_outage_within_the_order_that_is_heard_is_no_end_of_it() {
+fn an_outage_during_the_acknowledged_stop_order_does_not_end_it() {
     for (dialect, format) in EVERY {
-        for heard_ms in (1..230).step_by(6) {
-            let place = format!("{format}, heard for {heard_ms} ms");
+        for heartbeat_ms in (1..230).step_by(6) {
+            let place = format!("{format}, heard for {heartbeat_ms} ms");
             let mut chain = moving(dialect, format);
-            for (time, deaf) in [(0, "deaf 1000000"), (700, "deaf 0"), (heard_ms, "deaf 1000000"), (900, "deaf 0")] {
+            for (time, deaf) in [(0, "deaf 1000000"), (700, "deaf 0"), (heartbeat_ms, "deaf 1000000"), (900, "deaf 0")]
+            {
                 run_held(&mut chain, ms(time), &place);
                 chain.inject(deaf);
             }
@@ -137,7 +142,7 @@ fn a_controller_that_was_switched_off_and_on_is_reset() {
             chain.only_in_control = only_in_control;
             chain.inject("power on");
             run_held(&mut chain, ms(1000), &place);
-            assert_eq!(chain.gateway.status().is_unheard, only_in_control, "{place}");
+            assert_eq!(chain.gateway.status().stop_unacknowledged, only_in_control, "{place}");
             assert_eq!(latched(&chain), SILENT, "{place}");
             reset(&mut chain, &place);
         }
@@ -146,7 +151,7 @@ fn a_controller_that_was_switched_off_and_on_is_reset() {
 
 /// A silent arm receives no message that opens a brake or disables a servo.
 #[test]
-fn nobody_is_reset_who_is_not_heard() {
+fn a_silent_arm_is_not_reset() {
     for (dialect, format) in EVERY {
         let mut chain = moving(dialect, format);
         chain.inject("deaf 1000000");
@@ -192,7 +197,7 @@ fn a_bus_that_comes_back_during_a_reset_lets_no_joint_go() {
 
 /// A gateway that starts at a dead bus whose arm moves.
 #[test]
-fn an_arm_that_is_heard_late_and_moves_is_stopped_and_latched() {
+fn an_arm_whose_answers_are_late_while_it_moves_is_stopped_and_latched() {
     for (dialect, format) in EVERY {
         for after_ms in (0..330).step_by(4).chain([2000]) {
             let place = format!("{format}, back after {after_ms} ms");
@@ -207,8 +212,8 @@ fn an_arm_that_is_heard_late_and_moves_is_stopped_and_latched() {
             run_held(&mut chain, ms(600), &place);
             assert_ended(&chain, &place);
             // E is sent once at a fixed time: if it arrives first, it stops the arm before the gateway detects motion.
-            let heard_e_first = (200..=222).contains(&after_ms);
-            if !heard_e_first {
+            let acknowledged_end_first = (200..=222).contains(&after_ms);
+            if !acknowledged_end_first {
                 assert_eq!(latched(&chain), (GatewayState::Fault, StopCause::HostSilent), "{place}");
             }
         }
@@ -217,7 +222,7 @@ fn an_arm_that_is_heard_late_and_moves_is_stopped_and_latched() {
 
 /// A host requests the control mode when the bus of a moving arm recovers.
 #[test]
-fn a_start_at_an_arm_of_which_nothing_is_heard_lets_no_joint_go() {
+fn a_start_at_a_silent_arm_releases_no_joint() {
     for (dialect, format) in EVERY {
         for after_ms in 0..60 {
             let place = format!("{format}, back after {after_ms} ms");
@@ -249,7 +254,7 @@ fn a_controller_that_is_switched_on_later_is_started_at_once() {
         chain.only_in_control = true;
         chain.inject("power on");
         chain.run(ms(1000));
-        assert!(chain.gateway.status().is_unheard);
+        assert!(chain.gateway.status().stop_unacknowledged);
         chain.open();
         chain.request(Request::Connect);
         chain.settle();
@@ -282,7 +287,7 @@ fn an_arm_that_was_left_holding_is_latched_where_the_controller_shows_it() {
 
 /// A host disconnects in `started`, while the bus is dead.
 #[test]
-fn an_e_that_nobody_heard_is_asked_for_again() {
+fn a_lost_end_letter_is_requested_again() {
     for (dialect, format) in EVERY {
         let mut chain = connected(dialect, format);
         chain.request(Request::Enable);

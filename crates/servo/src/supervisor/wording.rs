@@ -102,7 +102,7 @@ pub enum Then {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Refusal {
     /// The command.
-    pub word: OperatorCommand,
+    pub command: OperatorCommand,
     /// The reason.
     pub because: RefusedFor,
 }
@@ -172,8 +172,8 @@ impl Why {
     }
 
     fn write_sentence(&self, f: &mut fmt::Formatter<'_>, has_console: bool) -> fmt::Result {
-        let begin = |word, otherwise| Action { word, otherwise, has_console };
-        let again = |word| Action { word, otherwise: "start a new run", has_console };
+        let begin = |command, otherwise| Action { command, otherwise, has_console };
+        let again = |command| Action { command, otherwise: "start a new run", has_console };
         match self {
             Self::Idle => write!(f, "idle: no target selected; {}", begin("select", "the program selects it")),
             Self::Ready => write!(f, "selecting: target seen, no active inhibit; {}", begin("start", STARTS)),
@@ -181,8 +181,8 @@ impl Why {
                 write!(f, "selecting: {cause}; {}, then {}", remedy(cause), begin("start", STARTS))
             }
             Self::Settling { state, cause, for_s } => {
-                let word = if *state == State::Selecting { "start" } else { "resume" };
-                write!(f, "{state}: {}; ready to {word} in {for_s:.1} s", Gone(cause))
+                let command = if *state == State::Selecting { "start" } else { "resume" };
+                write!(f, "{state}: {}; ready to {command} in {for_s:.1} s", Gone(cause))
             }
             Self::Moving { state } => write!(f, "{state}"),
             Self::Searching => {
@@ -230,7 +230,7 @@ const STARTS: &str = "the program starts the motion";
 
 /// What can be done next: a command of the operator, or something else if nobody can give one.
 struct Action {
-    word: &'static str,
+    command: &'static str,
     otherwise: &'static str,
     has_console: bool,
 }
@@ -238,7 +238,7 @@ struct Action {
 impl fmt::Display for Action {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.has_console {
-            true => write!(f, "use {}", self.word),
+            true => write!(f, "use {}", self.command),
             false => f.write_str(self.otherwise),
         }
     }
@@ -275,7 +275,7 @@ impl Refusal {
     }
 
     fn write_sentence(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} refused: ", self.word.name())?;
+        write!(f, "{} refused: ", self.command.name())?;
         match &self.because {
             RefusedFor::State(state) => write!(f, "not possible in the state {state}{}", instead(*state)),
             RefusedFor::Age { age_s, age_max_s } => {
@@ -293,7 +293,7 @@ impl Refusal {
             RefusedFor::Overtaken(state) => {
                 write!(f, "the state changed to {state} in the same step; check, then repeat it")
             }
-            RefusedFor::Cause(cause) if self.word == OperatorCommand::Reset => {
+            RefusedFor::Cause(cause) if self.command == OperatorCommand::Reset => {
                 write!(f, "{cause}; {}, then use reset again", remedy(cause))
             }
             RefusedFor::Cause(cause) => write!(f, "{cause}; {}", remedy(cause)),
