@@ -277,7 +277,8 @@ impl Report {
         let [script, styles, permitted, notice] = if self.has_plots {
             let hash = base64::encode(&Sha256::digest(SCRIPT));
             let styles = include_str!("../../assets/uplot/uPlot.min.css").to_owned();
-            let notice = "<noscript><p>The plots of this page need scripts: allow them.</p></noscript>\n".to_owned();
+            // The script removes it.
+            let notice = "<p id=\"needs-scripts\">The plots of this page need scripts: allow them.</p>\n".to_owned();
             [format!("<script>{SCRIPT}</script>\n"), styles, format!("'sha256-{hash}'"), notice]
         } else {
             [String::new(), String::new(), "'none'".to_owned(), String::new()]

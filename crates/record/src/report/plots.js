@@ -341,6 +341,7 @@
     axis.showAll();
     axis.point(axis.whole[0]);
   }
+  document.getElementById("needs-scripts")?.remove();
   // Canvases do not follow the style sheet.
   const redraw = () => axes.forEach((axis) => axis.plots.forEach(({ uplot }) => uplot.redraw(false, true)));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => requestAnimationFrame(redraw));
