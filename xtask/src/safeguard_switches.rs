@@ -29,7 +29,8 @@ pub fn example(workspace: &Workspace, package: &str, example: &str) -> anyhow::R
     }
     let mut command = workspace.cargo();
     command.args(["run", "--locked", "--package", package, "--example", example, "--"]);
-    command.current_dir(&scratch.tree).env("CARGO_TARGET_DIR", &scratch.target);
+    // The crates of others are built there already.
+    command.current_dir(&scratch.tree).env("CARGO_TARGET_DIR", workspace.target_folder()?);
     Ok(command)
 }
 
