@@ -133,7 +133,7 @@ pub struct Parts {
     pub operator: Box<dyn Operator>,
     /// The simulated target, if a person pushes it.
     pub pushed: Option<PushedTarget>,
-    /// Who looks on or records the run in one file.
+    /// Observers of the run, such as the panel, and its recorder.
     pub spectators: Vec<Box<dyn Spectator>>,
     /// Targets that the operator selects during the run.
     pub selections: Option<Selections>,

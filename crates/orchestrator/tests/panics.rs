@@ -1,7 +1,7 @@
 //! A thread that panics, and says more than a log holds, while standard error is a full pipe: it goes on to what it has to do, and
 //! its text is written later.
 //!
-//! This program starts itself: once as the one that panics, with the word `panics`, and looks on as the other one.
+//! This program starts itself: the second process, with the argument `panics`, panics, and the first one observes it.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
 use std::io::{BufRead, BufReader, PipeReader, Read, Write};

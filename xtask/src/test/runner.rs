@@ -237,7 +237,7 @@ pub fn doctests(workspace: &Workspace, plan: &Plan) -> anyhow::Result<Option<Run
     }
     let mut command = workspace.cargo();
     println!("$ cargo test --doc {}", selected.join(" "));
-    command.args(["test", "--quiet", "--doc", "--locked"]).args(selected);
+    command.args(["test", "--quiet", "--doc", "--locked", "--no-fail-fast"]).args(selected);
     let output = command.args(&plan.filter).output().context("cannot run cargo")?;
     let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).concat();
     Ok(Some(Run::read("examples in the documentation".to_owned(), text, output.status.success(), begin.elapsed())))

@@ -172,8 +172,8 @@ pub fn assert_problem(finished: &Finished, parts: &[&str]) {
 #[test]
 fn a_probe_tells_what_an_arm_is_and_that_it_fits() {
     programs_in_real_time_beside_others(|| {
-        let output_text = pb3dp_arm(&hil(), &["probe", "--json"], None).assert_success();
-        let report = json(&output_text);
+        let finished = pb3dp_arm(&hil(), &["probe", "--json"], None).assert_success();
+        let report = json(&finished);
         assert_eq!(report["arm"], "vs-robot");
         assert_eq!(report["fits"], true);
         assert_eq!(report["gateway"]["firmware"], "pb3dp emulation");
@@ -217,13 +217,13 @@ fn a_probe_says_what_does_not_fit_and_what_to_do() {
 #[test]
 fn what_a_gateway_says_of_itself_is_in_the_log() {
     programs_in_real_time_beside_others(|| {
-        let output_text = pb3dp_arm(&hil(), &["probe", "--exchanges", "20"], None).assert_success();
+        let finished = pb3dp_arm(&hil(), &["probe", "--exchanges", "20"], None).assert_success();
         for part in
             ["vs-robot: gateway \"pb3dp emulation\"", "gateway-v1", "geometry second-generation", "stopped after 50 ms"]
         {
-            assert!(output_text.stderr.contains(part), "{part:?} is missing in:\n{}", output_text.stderr);
+            assert!(finished.stderr.contains(part), "{part:?} is missing in:\n{}", finished.stderr);
         }
-        assert!(!output_text.stderr.contains("the arm geometry is not set"), "{}", output_text.stderr);
+        assert!(!finished.stderr.contains("the arm geometry is not set"), "{}", finished.stderr);
         let cell = Cell::start(&["--geometry", "unknown", "--pose-deg", START_DEG]);
         let doubted = cell.pb3dp(&["probe", "--exchanges", "20"], None).assert_success();
         assert!(doubted.stdout.contains("warning: the arm geometry is not set at the gateway"), "{}", doubted.stdout);
@@ -237,9 +237,9 @@ fn an_arm_that_is_not_there_is_a_finding_too() {
     // Nobody listens at this port.
     let folder = setup_at("127.0.0.1:9");
     let config = folder.path().join("cell.toml").display().to_string();
-    let output_text = pb3dp_arm(&config, &["probe", "--json"], None);
-    assert!(!output_text.success);
-    let report = json(&output_text);
+    let finished = pb3dp_arm(&config, &["probe", "--json"], None);
+    assert!(!finished.success);
+    let report = json(&finished);
     assert_eq!(report["fits"], false);
     assert!(report["problems"][0].as_str().unwrap().contains("127.0.0.1:9"), "{report}");
     let sim = repository().join("configs/sim.toml").display().to_string();

@@ -279,9 +279,9 @@ fn tables_that_do_not_fit_are_refused_by_key() {
     let folder = tempfile::tempdir().unwrap();
     with_bus(&folder, "arcnet:no-such-bus", good);
     let config = folder.path().join("cell.toml").display().to_string();
-    let detected_format = pb3dp(&["arm", "probe", "--config", &config, "--arm", "vs"]);
-    assert_problem(&detected_format, &["ARCNET interface no-such-bus", "load the card's driver"]);
+    let probe = pb3dp(&["arm", "probe", "--config", &config, "--arm", "vs"]);
+    assert_problem(&probe, &["ARCNET interface no-such-bus", "load the card's driver"]);
     write_setup(&folder, |vs| vs.replacen("backend = \"emulated\"", "backend = \"arcnet\"", 1));
-    let detected_format = pb3dp(&["arm", "probe", "--config", &config, "--arm", "vs"]);
-    detected_format.assert_refused(&["arms.vs.gateway: an arm with backend = \"arcnet\" has none"]);
+    let probe = pb3dp(&["arm", "probe", "--config", &config, "--arm", "vs"]);
+    probe.assert_refused(&["arms.vs.gateway: an arm with backend = \"arcnet\" has none"]);
 }

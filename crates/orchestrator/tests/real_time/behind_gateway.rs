@@ -111,11 +111,11 @@ fn an_arm_is_probed_over_tls() {
             "{printed}"
         );
         std::fs::copy(gateway.folder.path().join("arm1.crt"), &pinned).unwrap();
-        let output_text = probe().assert_success();
+        let finished = probe().assert_success();
         assert!(
-            output_text.stdout.contains("gateway: \"pb3dp gateway") && output_text.stdout.contains("0 lost"),
+            finished.stdout.contains("gateway: \"pb3dp gateway") && finished.stdout.contains("0 lost"),
             "{}",
-            output_text.stdout
+            finished.stdout
         );
         std::fs::remove_file(&pinned).unwrap();
         new_certificate(&pinned);
@@ -140,8 +140,8 @@ fn a_gateway_that_stops_later_than_the_limiter_counts_on_moves_nothing() {
         let text = std::fs::read_to_string(&file).unwrap();
         std::fs::write(&file, text.replacen("command_timeout_millis = 50.0", "command_timeout_millis = 120.0", 1))
             .unwrap();
-        let output_text = pb3dp_arm(&config, &["jog", "--axis", "7", "--by", "1"], None).assert_success();
-        assert!(output_text.stdout.contains("dry run"), "{}", output_text.stdout);
+        let finished = pb3dp_arm(&config, &["jog", "--axis", "7", "--by", "1"], None).assert_success();
+        assert!(finished.stdout.contains("dry run"), "{}", finished.stdout);
         gateway.end();
     });
 }
