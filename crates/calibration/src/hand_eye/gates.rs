@@ -39,7 +39,7 @@ pub const LEFT_OUT_DISTANCE: Gate = Gate::at_most("left_out_mm", [0.7, 2.0], CON
 /// The same for the orientation.
 pub const LEFT_OUT_ANGLE: Gate = Gate::at_most("left_out_deg", [0.1, 0.3], CONTRADICTION);
 
-/// Lengths, with the robot as reference; [`scale_advice`] tells which one is wrong.
+/// Lengths, with the robot as reference; `scale_advice` tells which one is wrong.
 pub const SCALE: Gate = Gate::at_most("scale_percent", [0.1, 0.3], BOTH_SCALES);
 
 const BOTH_SCALES: &str = "measure the squares (measure ten with a ruler and divide), then calibrate the stereo rig and the hand again; if the squares are correct, the robot description does not match this arm";
