@@ -27,11 +27,23 @@ pub fn example(workspace: &Workspace, package: &str, example: &str) -> anyhow::R
     for (file, source) in with_switches(workspace.root())? {
         std::fs::write(scratch.tree.join(&file), source).with_context(|| format!("cannot write {file}"))?;
     }
+    let manifest = scratch.tree.join("Cargo.toml");
+    std::fs::write(&manifest, with_own_version(&std::fs::read_to_string(&manifest)?)?)?;
     let mut command = workspace.cargo();
-    command.args(["run", "--locked", "--package", package, "--example", example, "--"]);
+    // The lock file of the copy gets the version of the copy, and nothing else changes in it.
+    command.args(["run", "--offline", "--package", package, "--example", example, "--"]);
     // The crates of others are built there already.
     command.current_dir(&scratch.tree).env("CARGO_TARGET_DIR", workspace.target_folder()?);
     Ok(command)
+}
+
+/// A manifest whose packages have another version. With the same one cargo takes the packages of the copy for those of the work tree: both
+/// have one target folder, and the next build of the work tree would contain the switches.
+fn with_own_version(manifest: &str) -> anyhow::Result<String> {
+    let (start, end) =
+        manifest.split_once("[workspace.package]\nversion = \"").context("Cargo.toml states no version")?;
+    let (version, end) = end.split_once('"').context("Cargo.toml states no version")?;
+    Ok(format!("{start}[workspace.package]\nversion = \"{version}+off\"{end}"))
 }
 
 /// The files that differ with the switches, by their paths.
@@ -69,5 +81,19 @@ mod tests {
         let packages = ["crates/servo", "hal/arm-pa10-gateway", "hal/arm-pa10", "hal/middleware"];
         assert_eq!(libraries, packages.map(|package| format!("{package}/src/lib.rs")).iter().collect::<Vec<_>>());
         assert!(sources["hal/middleware/src/limiter.rs"].contains("crate::is_off(\"limiter: speed\")"));
+    }
+
+    /// A build of the work tree after the proofs once contained the switches.
+    #[test]
+    fn the_copy_is_built_as_other_packages() {
+        let root = Workspace::find().unwrap().root().to_owned();
+        let manifest = std::fs::read_to_string(root.join("Cargo.toml")).unwrap();
+        let changed = with_own_version(&manifest).unwrap();
+        let version = |text: &str| -> String {
+            let manifest: toml::Table = text.parse().unwrap();
+            manifest["workspace"]["package"]["version"].as_str().unwrap().to_owned()
+        };
+        assert_eq!(version(&changed), version(&manifest) + "+off");
+        assert_eq!(changed.len(), manifest.len() + "+off".len());
     }
 }
