@@ -1,8 +1,7 @@
 //! Both arms: their backends, the layers in front of them, and the joint sources of the simulated workcell.
 
-use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::mpsc::sync_channel;
 use std::sync::{Arc, Mutex};
-use std::task::Poll;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
@@ -23,8 +22,8 @@ use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_cell::cell::{ArmSite, JointSource};
 use pb3dp_cell::flight::FLIGHT;
 use pb3dp_cell::parts::{ArmControl, ArmOnBus, EmulatedArm, GatewayLimits, LinkCounts, LinkMonitor, StopOrder};
-use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState, PowerOrder};
-use pb3dp_hal_middleware::{FlightLog, Guard, Limiter, Recorded, couple};
+use pb3dp_hal_api::{Arm, ArmPower, Clock, JointState};
+use pb3dp_hal_middleware::{FlightLog, Guard, Limiter, Recorded, SampleListener, couple};
 use pb3dp_hal_platform::jitter::Jitter;
 use pb3dp_hal_platform::only_program::OnlyProgram;
 use pb3dp_hal_platform::realtime::Realtime;
@@ -159,8 +158,8 @@ pub(super) fn wire_arms_to(
         .into_iter()
         .filter_map(arm_on_bus)
         .collect();
-    let (vs_guarded, vs_flight) = guarded(vs_wanted, vs.backend, vs.trip)?;
-    let (tc_guarded, tc_flight) = guarded(tc_wanted, tc.backend, tc.trip)?;
+    let (vs_guarded, vs_flight) = guarded(vs_wanted, vs.backend, vs.trip, vs.listener)?;
+    let (tc_guarded, tc_flight) = guarded(tc_wanted, tc.backend, tc.trip, tc.listener)?;
     let pair = ((vs_guarded, setup.rig.arms.vs.coupled()), (tc_guarded, setup.rig.arms.tc.coupled()));
     let (vs_coupled, tc_coupled) = couple(pair.0, pair.1, setup.rig.least_room_m, clock).context("table [arms]")?;
     let monitors = [(vs_name, vs.monitor), (tc_name, tc.monitor)];
@@ -189,7 +188,7 @@ pub(super) fn wire_alone(wanted: Wanted<'_>) -> Result<SingleArm> {
     wanted.arm.check_signals()?;
     let sole = sole_program(&[wanted.arm])?;
     let wired = wire_backend(wanted, alone()?, &sole)?;
-    let (guarded, flight) = guarded(wanted, wired.backend, wired.trip)?;
+    let (guarded, flight) = guarded(wanted, wired.backend, wired.trip, wired.listener)?;
     let emulated = wired.emulated.and_then(Emulation::into_server);
     Ok(SingleArm { driven: limited(wanted, guarded)?, monitor: wired.monitor, flight, emulated })
 }
@@ -228,11 +227,16 @@ pub(super) struct Wanted<'a> {
     pub standing: Option<&'a SimulatedArm>,
 }
 
-fn guarded(wanted: Wanted<'_>, backend: Box<dyn Backend>, trip: Option<TripHandle>) -> Result<(GuardedArm, FlightLog)> {
+fn guarded(
+    wanted: Wanted<'_>,
+    backend: Box<dyn Backend>,
+    trip: Option<TripHandle>,
+    listener: Option<SampleListener>,
+) -> Result<(GuardedArm, FlightLog)> {
     let Wanted { name, arm, control_period, clock, .. } = wanted;
     let cycles = FLIGHT.as_secs_f64() / control_period.as_secs_f64();
     let flight = FlightLog::with_capacity(cycles.ceil() as usize);
-    let recorded = Recorded::new(backend, Arc::clone(clock), flight.clone());
+    let recorded = Recorded::new(backend, Arc::clone(clock), flight.clone()).with_listener(listener);
     let guard = Guard::new(recorded, arm.limits, arm.guard.clone()).with_context(|| format!("{name}: guard"))?;
     // A joint that does not follow its drive is held only by its brake.
     let guard = match trip {
@@ -253,6 +257,8 @@ struct WiredBackend {
     backend: Box<dyn Backend>,
     monitor: Option<ArmMonitor>,
     trip: Option<TripHandle>,
+    /// Copies the measurements to the simulated workcell.
+    listener: Option<SampleListener>,
     emulated: Option<Emulation>,
 }
 
@@ -283,24 +289,40 @@ fn wire_backend(wanted: Wanted<'_>, seat: TripSeat, sole: &Option<Arc<OnlyProgra
             MockArmConfig { name: name.to_owned(), cycle: control_period, command_timeout: arm.command_timeout };
         let mock = MockArm::new(config, Arc::clone(&plant), Arc::clone(clock));
         let site = ArmSite::of(arm, JointSource::plant(plant));
-        return Ok(WiredBackend { site, backend: Box::new(mock), monitor: None, trip: None, emulated: None });
+        return Ok(WiredBackend {
+            site,
+            backend: Box::new(mock),
+            monitor: None,
+            trip: None,
+            listener: None,
+            emulated: None,
+        });
     };
     let opened = open(line, seat, wanted)?;
     let (monitor, trip) = (Some(opened.monitor()), Some(opened.trip_handle()));
     if let Some((emulation, plant)) = emulated {
         let site = ArmSite::of(arm, JointSource::plant(plant));
-        return Ok(WiredBackend { site, backend: Box::new(opened), monitor, trip, emulated: Some(emulation) });
+        return Ok(WiredBackend {
+            site,
+            backend: Box::new(opened),
+            monitor,
+            trip,
+            listener: None,
+            emulated: Some(emulation),
+        });
     }
     // The joints are not simulated in this process: the workcell uses the measured ones.
-    let (tap, samples) = sync_channel(JOINTS_WAITING_MAX);
+    let (sender, samples) = sync_channel(JOINTS_WAITING_MAX);
+    let sole = sole.clone();
+    let listener = move |measured: &JointState| {
+        // The right to move this arm lasts as long as the arm itself.
+        let _kept = &sole;
+        // Measurements that the workcell does not consume in time are dropped.
+        sender.try_send(*measured).ok();
+    };
     let site = ArmSite::of(arm, JointSource::measured(samples, arm.start_rad));
-    Ok(WiredBackend {
-        site,
-        backend: Box::new(Tapped { arm: opened, tap, _sole: sole.clone() }),
-        monitor,
-        trip,
-        emulated: None,
-    })
+    let listener: SampleListener = Box::new(listener);
+    Ok(WiredBackend { site, backend: Box::new(opened), monitor, trip, listener: Some(listener), emulated: None })
 }
 
 /// The link to an arm, with the emulated arm and its joints if there is one at the far end; `None` if the arm is simulated in process.
@@ -525,39 +547,5 @@ fn on_bus(driver: DriverConfig, link: &BusLinkConfig) -> DriverConfig {
         supervision: link.supervision,
         signals: link.signals,
         ..driver
-    }
-}
-
-/// An arm whose measurements are also copied to the simulated workcell, without waiting for it.
-struct Tapped<A> {
-    arm: A,
-    tap: SyncSender<JointState>,
-    _sole: Option<Arc<OnlyProgram>>,
-}
-
-impl<A: Arm> Arm for Tapped<A> {
-    fn info(&self) -> &ArmInfo {
-        self.arm.info()
-    }
-
-    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
-        let measured = self.arm.exchange(command)?;
-        // Measurements that the workcell does not consume in time are dropped.
-        self.tap.try_send(measured).ok();
-        Ok(measured)
-    }
-}
-
-impl<A: ArmPower> ArmPower for Tapped<A> {
-    fn state(&self) -> ArmState {
-        self.arm.state()
-    }
-
-    fn is_stopped_by_other(&self) -> bool {
-        self.arm.is_stopped_by_other()
-    }
-
-    fn power(&mut self, order: PowerOrder) -> Result<Poll<()>, ArmError> {
-        self.arm.power(order)
     }
 }

@@ -20,4 +20,4 @@ pub use coupling::{Coupled, CoupledArmConfig, CoupledError, CoupledStatistics, c
 pub use guard::{Guard, GuardConfig, GuardError, PA10_MECHANICAL_RANGE_DEG};
 pub use last_command::CommandFade;
 pub use limiter::{Limiter, LimiterConfig, LimiterError, LimiterStatistics, StartPose};
-pub use recorder::{FlightEntry, FlightLog, Recorded, RecordedRequest};
+pub use recorder::{FlightEntry, FlightLog, Recorded, RecordedRequest, SampleListener};

@@ -53,7 +53,11 @@ pub struct Recorded<A> {
     log: FlightLog,
     /// Time since which the arm is being enabled.
     enabling_since: Option<MonotonicTime>,
+    listener: Option<SampleListener>,
 }
+
+/// Gets each measurement of an arm in the thread of the exchange: it must not wait.
+pub type SampleListener = Box<dyn FnMut(&JointState) + Send>;
 
 impl FlightLog {
     /// An empty log for this number of entries, at least 1.
@@ -83,7 +87,13 @@ impl FlightLog {
 impl<A> Recorded<A> {
     /// Records the exchanges with `arm` in `log`, with the times of `clock`.
     pub fn new(arm: A, clock: Arc<dyn Clock>, log: FlightLog) -> Self {
-        Self { arm, clock, log, enabling_since: None }
+        Self { arm, clock, log, enabling_since: None, listener: None }
+    }
+
+    /// Also passes each measurement to this listener.
+    #[must_use]
+    pub fn with_listener(self, listener: Option<SampleListener>) -> Self {
+        Self { listener, ..self }
     }
 
     /// The wrapped arm, read-only.
@@ -103,6 +113,9 @@ impl<A: Arm + ArmPower> Arm for Recorded<A> {
         let answer = result.as_ref().map(|sample| Some(*sample)).map_err(ArmError::kind);
         let asked = RecordedRequest::Exchange(command);
         self.log.push(FlightEntry { at, done: self.clock.now(), asked, answer, state: self.arm.state() });
+        if let (Ok(sample), Some(listener)) = (&result, &mut self.listener) {
+            listener(sample);
+        }
         result
     }
 }

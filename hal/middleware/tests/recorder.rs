@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use std::sync::Arc;
+use std::sync::mpsc::channel;
 
 use pb3dp_arm_pa10_emulation::mock::MockArm;
 use pb3dp_geometry::MonotonicTime;
@@ -78,4 +79,17 @@ fn recorded_mock_arm_keeps_the_contract() {
     let clock = Arc::new(VirtualClock::new());
     let make = || recorded(&clock, 100).0;
     assert_contract(&clock, make, |arm| arm.arm());
+}
+
+#[test]
+fn a_listener_gets_the_measurements_and_no_failures() {
+    let clock = Arc::new(VirtualClock::new());
+    let (arm, _) = recorded(&clock, 5);
+    let (sender, samples) = channel();
+    let mut arm = arm.with_listener(Some(Box::new(move |sample| sender.send(*sample).unwrap())));
+    assert!(arm.exchange(velocity(2, 0.3)).is_err(), "not enabled");
+    arm.enable().unwrap();
+    clock.sleep_until(clock.now() + CYCLE);
+    let measured = arm.exchange(velocity(2, 0.3)).unwrap();
+    assert_eq!(samples.try_iter().collect::<Vec<_>>(), [measured]);
 }
