@@ -4,7 +4,7 @@ use anyhow::{Context, Result};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{ArmErrorKind, ArmState, EnablePosition, JointCommand, JointState, PowerOrder};
 use pb3dp_kinematics::JointVector;
-use pb3dp_servo::supervisor::ArmCondition;
+use pb3dp_servo::supervisor::{ArmCondition, ArmInput};
 use pb3dp_setup::setup::Setup;
 
 use crate::log::ArmSample;
@@ -54,6 +54,11 @@ impl CellArm {
             ArmState::Fault => ArmCondition::Fault,
             ArmState::EStop => ArmCondition::EmergencyStop,
         }
+    }
+
+    /// Its condition and the time of its measurement, for the supervisor.
+    pub fn input(&self) -> ArmInput {
+        ArmInput { state: self.condition(), measured_at: Some(self.joints.at) }
     }
 
     /// One control cycle; returns the measurement. `None`: the reply is late or lost and the arm holds. The arm stops by itself if that
@@ -191,7 +196,7 @@ impl BothArms {
         let arms = [&mut self.vs, &mut self.tc].map(|led| {
             led.arm.exchange(JointCommand::Hold).ok();
             // An arm that cannot be commanded gets the command a second time below.
-            led.arm.begin_stop().ok();
+            led.arm.power(PowerOrder::BeginStop).ok();
             led
         });
         let [vs, tc] = arms.map(CellArm::stop);

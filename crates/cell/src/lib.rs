@@ -42,7 +42,6 @@ pub mod machine;
 pub mod marks;
 pub mod message_codes;
 pub mod methods;
-pub mod motion_gate;
 pub mod moving;
 pub mod operator;
 pub mod paced_clock;

@@ -8,9 +8,9 @@ use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::{ArmError, ArmErrorKind, EnablePosition, JointCommand, JointState};
 use pb3dp_kinematics::{Damping, JointVector};
 use pb3dp_servo::supervisor::{
-    ArmCondition, Decision, Event, OperatorCommand, OperatorInput, OperatorRequest, Permission, State,
+    ArmCondition, Decision, Event, OperatorCommand, OperatorInput, OperatorRequest, Permission, State, Supervisor,
 };
-use pb3dp_servo::{Command, ControlStep, Controller, Mode};
+use pb3dp_servo::{Command, Controller, Mode, Servo, ServoInput, ServoStep};
 use pb3dp_setup::setup::{Carrier, Setup};
 use pb3dp_sim::placement::FlangePath;
 use pb3dp_sim::trajectory::Trajectory;
@@ -20,7 +20,6 @@ use super::both_arms::{BothArms, CellArm, error_text};
 use super::carrier::{carry, off_by};
 use super::devices::ArmControl;
 use super::halves::{CameraArmStep, Mover};
-use super::motion_gate::MotionGate;
 use super::operator::{ByCommand, MotionRequest, Operator};
 use super::percept::Percept;
 use crate::log::ArmSample;
@@ -38,10 +37,9 @@ pub struct Moving<'a> {
     arms: BothArms,
     /// Path of the arm that carries the target; none if that arm holds.
     path: Option<FlangePath<'a>>,
-    controller: Controller,
+    servo: Servo,
     /// The desired pose of the hand.
     aim: Aim,
-    motion_gate: MotionGate,
     operator: Box<dyn Operator>,
     /// A rest that only a person could end was reported.
     is_hold_reported: bool,
@@ -114,8 +112,10 @@ impl<'a> Moving<'a> {
     ) -> Result<Self> {
         Ok(Self {
             arms: BothArms::new(setup, arms, begin),
-            controller: Controller::new(setup.controller, setup.rig.arms.vs.chain.clone(), setup.rig.arms.vs.limits)?,
-            motion_gate: MotionGate::new(&setup.supervisor, *setup.rig.arms.vs.limits.operating())?,
+            servo: Servo::new(
+                Controller::new(setup.controller, setup.rig.arms.vs.chain.clone(), setup.rig.arms.vs.limits)?,
+                Supervisor::new(setup.supervisor.clone())?,
+            ),
             aim: Aim::new(&setup.controller.model_from_hand_desired),
             operator: Box::new(ByCommand),
             is_hold_reported: false,
@@ -148,32 +148,27 @@ impl<'a> Moving<'a> {
         &self.arms
     }
 
-    /// One step of controller and supervisor, and the command permitted for the arm that carries the cameras.
-    fn decide(&mut self, now: MonotonicTime) -> (ControlStep, Decision, Command) {
-        let observation = self.newest.as_ref().and_then(|percept| percept.observation.as_ref());
-        let control = self.controller.step(self.arms.vs.joints(), observation, now);
-        let input = self.listen(now);
+    /// One step of controller and supervisor, with the command permitted for the arm that carries the cameras.
+    fn decide(&mut self, now: MonotonicTime) -> ServoStep {
+        let operator = self.listen(now);
         let MotionRequest { speed_share, hand_from_hand_shifted } = self.operator.motion();
-        let speed_share = if speed_share.is_finite() { speed_share.clamp(0.0, 1.0) } else { 0.0 };
-        if let Some(desired) = self.aim.shift(hand_from_hand_shifted) {
-            self.controller.set_model_from_hand_desired(desired);
-        }
-        let arms = [&self.arms.vs, &self.arms.tc].map(|arm| (arm.condition(), arm.joints()));
-        let decision = self.motion_gate.step(input, &control, self.newest.as_ref(), arms, now);
-        self.operator.show(&decision);
-        self.warn_if_only_operator_can_resume(&decision);
-        let executed = match (decision.permission, control.command) {
-            (Permission::Move { share }, Command::Velocity(velocity)) => {
-                Command::Velocity(velocity * (share * speed_share))
-            }
-            _ => Command::Hold,
+        let input = ServoInput {
+            joints: self.arms.vs.joints(),
+            observation: self.newest.as_ref().and_then(|percept| percept.observation.as_ref()),
+            estimate: self.newest.map(|percept| percept.estimate),
+            frame: self.newest.map(|percept| percept.frame),
+            operator,
+            speed_share,
+            arms: [&self.arms.vs, &self.arms.tc].map(CellArm::input),
         };
-        self.controller.permit_search(decision.search);
-        if decision.rearm {
-            self.controller.acquire();
+        let step = self.servo.step(&input, now);
+        if let Some(desired) = self.aim.shift(hand_from_hand_shifted) {
+            self.servo.set_model_from_hand_desired(desired);
         }
-        self.align(&decision);
-        (control, decision, executed)
+        self.operator.show(&step.decision);
+        self.warn_if_only_operator_can_resume(&step.decision);
+        self.align(&step.decision);
+        step
     }
 
     /// Where the hand begins an approach, its desired pose is that relative to the surface as it is known now.
@@ -183,8 +178,8 @@ impl<'a> Moving<'a> {
             return;
         }
         if let Some(desired) = self.aim.align(self.newest.map(|percept| percept.estimate.target)) {
-            self.controller.set_model_from_hand_desired(desired);
-            self.controller.approach_again();
+            self.servo.set_model_from_hand_desired(desired);
+            self.servo.approach_again();
         }
     }
 
@@ -201,10 +196,10 @@ impl<'a> Moving<'a> {
     /// Reads the operator input. A reset that the supervisor would accept also clears the faults latched in the arms; while a fault
     /// remains, the supervisor refuses it.
     fn listen(&mut self, now: MonotonicTime) -> OperatorInput {
-        let input = self.operator.listen(self.motion_gate.last(), now);
+        let input = self.operator.listen(self.servo.last_decision(), now);
         let input = self.held_if_refused(input, now);
         let conditions = [&self.arms.vs, &self.arms.tc].map(CellArm::condition);
-        if !input.request.is_some_and(|request| self.motion_gate.would_reset(request, conditions, now)) {
+        if !input.request.is_some_and(|request| self.servo.would_reset(request, conditions, now)) {
             return input;
         }
         if let Some(name) = self.arms.still_enabled() {
@@ -365,20 +360,15 @@ impl<'a> Moving<'a> {
         }
     }
 
-    /// Commands the arm that carries the cameras; the controller learns of a command that differs from its own.
-    fn tell(&mut self, wanted: Command, executed: Command) -> Result<()> {
-        let exchanged = self.arms.vs.exchange(match executed {
+    /// Commands the arm that carries the cameras.
+    fn command(&mut self, command: Command) -> Result<()> {
+        let exchanged = self.arms.vs.exchange(match command {
             Command::Velocity(velocity) => JointCommand::Velocity(velocity),
             Command::Hold => JointCommand::Hold,
         });
-        let measured = self.hold_after_refusal(exchanged)?;
-        let done = match (measured, executed) {
+        if self.hold_after_refusal(exchanged)?.is_none() && command != Command::Hold {
             // An arm that did not answer holds until the next command.
-            (None, Command::Velocity(_)) => Command::Velocity(JointVector::zeros()),
-            _ => executed,
-        };
-        if done != wanted {
-            self.controller.set_executed_command(done);
+            self.servo.set_executed_command(Command::Velocity(JointVector::zeros()));
         }
         Ok(())
     }
@@ -421,7 +411,7 @@ impl Mover for Moving<'_> {
 impl Moving<'_> {
     /// One control step of both arms.
     fn step_both(&mut self, now: MonotonicTime) -> Result<StepRecord> {
-        let (control, decision, executed) = self.decide(now);
+        let ServoStep { command, control, decision } = self.decide(now);
         let arms = [self.arms.vs.sample(), self.arms.tc.sample()];
         let conditions = [&self.arms.vs, &self.arms.tc].map(CellArm::condition);
         let vs_joints = *self.arms.vs.joints();
@@ -451,7 +441,7 @@ impl Moving<'_> {
         }
         let carrying = self.carrying(&decision, now);
         let carried = self.arms.tc.exchange(carrying);
-        let exchanged = self.hold_after_refusal(carried).and_then(|_| self.tell(control.command, executed));
+        let exchanged = self.hold_after_refusal(carried).and_then(|_| self.command(command));
         if let Err(failure) = exchanged {
             // A latched fault goes to the supervisor in the next step, and to the operator; any other failure ends the run.
             let failure = self.arms.traced(failure);

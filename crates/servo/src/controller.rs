@@ -211,6 +211,11 @@ impl Controller {
         })
     }
 
+    /// Limits of the arm.
+    pub(crate) fn limits(&self) -> &EffectiveLimits {
+        &self.limits
+    }
+
     /// Drops the target and initialises a new one, after an operator command. Observations from before are not used again.
     pub fn acquire(&mut self) {
         self.forget();

@@ -1,7 +1,8 @@
-//! Visual-servo controller and supervisor: a pure `step(joints, newest observation, now)` without camera, arm, clock or thread.
+//! Visual-servo controller and supervisor: a pure `step(inputs, now)` without camera, arm, clock or thread.
 //! Time and data come from the caller.
 //!
-//! * [`Controller::step`] is the entry point: it returns a [`Command`] and the [`Mode`], with the reason if the arm holds.
+//! * [`Servo::step`] is the entry point: one control cycle of controller and supervisor, and the command for the arm.
+//! * [`Controller::step`] returns a [`Command`] and the [`Mode`], with the reason if the arm holds.
 //! * [`TargetObservation`] is the output of the estimator: pose of the model and time of exposure.
 //! * [`supervisor::Supervisor::step`] permits or inhibits the motion, with the reason and the remedy.
 //! * [`ControllerConfig`] holds all parameters; [`Controller::new`] rejects bad ones with key, value and allowed range.
@@ -24,6 +25,7 @@ pub mod law;
 pub mod redundancy;
 pub mod resolved_rate;
 pub mod search;
+pub mod servo;
 pub mod supervisor;
 pub mod target_filter;
 pub mod target_state;
@@ -38,8 +40,13 @@ pub use controller::{Command, ControlStep, Controller, HoldReason, Mode};
 pub use joint_history::{JointHistory, NotInHistory};
 pub use resolved_rate::Limitation;
 pub use search::SearchConfig;
+pub use servo::{Servo, ServoInput, ServoStep};
 pub use target_filter::{ObservationVerdict, TargetObservation};
 pub use target_state::{
     Acceleration, MeasurementConfig, MeasurementVerdict, MotionConfig, NotPredictable, PoseMeasurement, Prediction,
     RestConfig, SurpriseConfig, TargetState, TargetStateConfig,
 };
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+mod readme {}

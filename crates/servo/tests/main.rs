@@ -9,6 +9,7 @@ mod feed_forward;
 mod holding;
 mod identification;
 mod no_allocation;
+mod servo;
 mod settings;
 mod singular;
 mod supervisor;
