@@ -33,7 +33,7 @@ pub struct ServoInput<'a> {
 /// Result of one control cycle.
 #[derive(Clone, Copy, Debug)]
 pub struct ServoStep {
-    /// Command for the arm that carries the cameras: that of the controller, as far as the supervisor permits it.
+    /// Command for the arm that carries the cameras: that of the controller, within what the supervisor permits.
     pub command: Command,
     /// Result of the controller; its own command is only a request.
     pub control: ControlStep,
