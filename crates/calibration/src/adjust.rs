@@ -9,7 +9,7 @@
 use nalgebra::{
     DMatrix, DVector, Isometry3, Matrix2x3, Matrix3, Matrix6, Matrix6xX, MatrixXx6, Point3, SMatrix, Vector2, Vector6,
 };
-use pb3dp_geometry::{Camera, CameraError, Pinhole, se3, so3};
+use pb3dp_geometry::{Camera, CameraError, Pinhole, StereoRig, se3, so3};
 
 use crate::board::{BoardCorner, Chessboard, Sighting};
 use crate::lens::LensModel;
@@ -26,6 +26,8 @@ pub(crate) const SHAPE: usize = 3;
 const PINHOLE: usize = 4;
 /// Number of pose parameters.
 pub(crate) const POSE: usize = 6;
+/// Names of the pose parameters.
+pub(crate) const POSE_NUMBERS: [&str; POSE] = ["x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"];
 
 /// The observations: the detected corners of each view, one set per camera.
 pub(crate) struct Observations<'a> {
@@ -106,6 +108,12 @@ pub enum AdjustmentError {
 }
 
 impl State {
+    /// A stereo rig without views; its lens model is not read if the cameras are fixed.
+    pub(crate) fn of_rig(rig: &StereoRig, lens: LensModel) -> Self {
+        let from_first = vec![Isometry3::identity(), *rig.cam_right_from_cam_left().isometry()];
+        Self { lens, cameras: vec![*rig.left(), *rig.right()], from_first, boards: Vec::new(), shape: None }
+    }
+
     fn shared_per_camera(&self) -> usize {
         PINHOLE + self.lens.coefficient_count()
     }
@@ -138,8 +146,7 @@ impl State {
         };
         let mut names: Vec<String> = sides.iter().flat_map(|side| of_camera(side)).collect();
         for side in sides.iter().skip(1) {
-            let pose = ["x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"];
-            names.extend(pose.iter().map(|name| format!("cam_{side}_from_cam_{}.{name}", sides[0])));
+            names.extend(POSE_NUMBERS.map(|name| format!("cam_{side}_from_cam_{}.{name}", sides[0])));
         }
         if self.shape.is_some() {
             names.extend(["bow_of_rows_m", "bow_of_columns_m", "twist_m"].map(|name| format!("board.{name}")));

@@ -39,7 +39,7 @@ pub(crate) fn triangulated(rig: &StereoRig, left: &Vector2<f64>, right: &Vector2
 }
 
 /// The midpoint between two rays: one from the origin, one from `second_origin`.
-pub(crate) fn meeting(first: &Vector3<f64>, second: &Vector3<f64>, second_origin: &Vector3<f64>) -> Vector3<f64> {
+fn meeting(first: &Vector3<f64>, second: &Vector3<f64>, second_origin: &Vector3<f64>) -> Vector3<f64> {
     let (aa, ab, bb) = (first.dot(first), first.dot(second), second.dot(second));
     let (ao, bo) = (first.dot(second_origin), second.dot(second_origin));
     let determinant = aa * bb - ab * ab;

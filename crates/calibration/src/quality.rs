@@ -54,14 +54,17 @@ pub struct Quality {
 }
 
 impl Quality {
+    /// Index, name and root mean square of the errors in px of each view, the largest first.
+    pub fn views_by_error(&self) -> Vec<(usize, &str, f64)> {
+        let views = self.reprojection_rms_by_view_px.iter().enumerate();
+        let mut views: Vec<_> = views.map(|(index, (name, rms_px))| (index, name.as_str(), *rms_px)).collect();
+        views.sort_by(|a, b| b.2.total_cmp(&a.2));
+        views
+    }
+
     /// Error of held-out views divided by the error of the fitted views.
     pub fn held_out_ratio(&self) -> f64 {
         self.held_out_rms_px / self.reprojection_rms_px
-    }
-
-    /// The view with the largest error.
-    pub fn worst_view(&self) -> Option<&(String, f64)> {
-        self.reprojection_rms_by_view_px.iter().max_by(|a, b| a.1.total_cmp(&b.1))
     }
 
     /// The same with the scale judged by an independently known baseline, from a ruler or the data sheet.

@@ -4,17 +4,17 @@ mod hand_eye;
 
 use std::collections::BTreeMap;
 
-use pb3dp_geometry::{ImageSize, RectificationError};
+use nalgebra::Vector2;
+use pb3dp_geometry::ImageSize;
 use pb3dp_record::report::{Bars, ImagePlot, Report, SeriesColor, Table, Tone, VectorAt};
 
 use crate::board::Sighting;
-use crate::fit::{Covariance, Fit, View, sides};
+use crate::fit::{CornerError, Covariance, Fit, View, sides};
 use crate::gates::{Gate, Grade, HELD_OUT, Judged, SCALE, verdict};
 use crate::held_out::Chosen;
-use crate::quality::{Quality, row_differences};
+use crate::quality::{Quality, QualityError, row_differences};
 use crate::stand::{CELLS, cell_of};
 pub use hand_eye::of_hand_eye;
-pub(crate) use hand_eye::poses;
 
 /// Adds the verdict with advice, worst gate first, and the table of all gates. For every kind of calibration.
 #[must_use]
@@ -64,7 +64,7 @@ pub fn of_stereo(
     judged: &[Judged],
     views: &[View<2>],
     depth_m: f64,
-) -> Result<Report, ReportError> {
+) -> Result<Report, QualityError> {
     let rig = chosen.fit.rig()?;
     let mut figures = vec![
         ("baseline", format!("{:.2} mm", rig.baseline_m() * 1e3)),
@@ -100,17 +100,6 @@ pub fn of_stereo(
     Ok(ending(report, chosen, quality, judged))
 }
 
-/// Why no report could be made.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum ReportError {
-    /// The cameras do not form a valid stereo rig.
-    #[error(transparent)]
-    Fit(#[from] crate::fitted_rig::FitError),
-    /// The stereo pair cannot be rectified.
-    #[error("the stereo pair cannot be rectified")]
-    Rectification(#[from] RectificationError),
-}
-
 fn beginning(title: &str, quality: &Quality, judged: &[Judged]) -> Report {
     let scale = if judged.iter().any(|judged| judged.gate.key == SCALE.key) {
         String::new()
@@ -123,7 +112,8 @@ fn beginning(title: &str, quality: &Quality, judged: &[Judged]) -> Report {
 
 /// Errors and coverage over the images of each camera.
 fn errors<const N: usize>(report: Report, chosen: &Chosen<N>, views: &[View<N>], size: ImageSize) -> Report {
-    let by_camera: Vec<Vec<VectorAt>> = (0..N).map(|camera| vectors_of(&chosen.fit, camera)).collect();
+    let of_camera = |camera: usize| chosen.fit.errors().iter().flat_map(move |of_view| &of_view[camera]);
+    let by_camera: Vec<Vec<VectorAt>> = (0..N).map(|camera| vectors(of_camera(camera))).collect();
     // A common scale, so that the cameras can be compared.
     let magnified = ImagePlot::magnification(&by_camera.concat(), size.width);
     let plots: Vec<ImagePlot> = sides::<N>()
@@ -157,10 +147,8 @@ pub fn coverage_plots<const N: usize>(views: &[View<N>], size: ImageSize) -> Vec
 /// Views, lens models and parameters.
 fn ending<const N: usize>(report: Report, chosen: &Chosen<N>, quality: &Quality, judged: &[Judged]) -> Report {
     let mut by_view = Bars::new("error of each view, px rms", 3);
-    let mut views: Vec<_> = quality.reprojection_rms_by_view_px.iter().collect();
-    views.sort_by(|a, b| b.1.total_cmp(&a.1));
-    for (name, rms_px) in views {
-        by_view = by_view.bar(name, *rms_px);
+    for (_, name, rms_px) in quality.views_by_error() {
+        by_view = by_view.bar(name, rms_px);
     }
     by_view = with_limits(by_view, judged, HELD_OUT);
     let mut by_lens = Bars::new("error of each lens model on held-out views, px rms", 4);
@@ -228,10 +216,12 @@ fn wide(size: ImageSize) -> [u32; 2] {
     [size.width, size.height]
 }
 
-/// Errors of all corners of a camera.
-fn vectors_of<const N: usize>(fit: &Fit<N>, camera: usize) -> Vec<VectorAt> {
-    let corners = fit.errors().iter().flat_map(|of_view| &of_view[camera]);
-    corners.map(|error| VectorAt { at_px: error.corner.pixel.into(), vector_px: error.error_px.into() }).collect()
+/// Errors of corners as vectors.
+pub(crate) fn vectors<'a>(errors: impl IntoIterator<Item = &'a CornerError>) -> Vec<VectorAt> {
+    errors
+        .into_iter()
+        .map(|error| VectorAt { at_px: error.corner.pixel.into(), vector_px: error.error_px.into() })
+        .collect()
 }
 
 /// Number of corners in each cell, row by row.
@@ -245,7 +235,7 @@ fn counts_by_cell<'a>(sightings: impl Iterator<Item = &'a Sighting>, size: Image
 }
 
 /// Mean of values by cell, row by row; NaN for cells without values.
-fn mean_by_cell(values: impl Iterator<Item = (nalgebra::Vector2<f64>, f64)>, size: ImageSize) -> Vec<f64> {
+fn mean_by_cell(values: impl Iterator<Item = (Vector2<f64>, f64)>, size: ImageSize) -> Vec<f64> {
     let mut sums = vec![(0.0, 0.0); (CELLS[0] * CELLS[1]) as usize];
     for (pixel, value) in values {
         let [column, row] = cell_of(&pixel, size);

@@ -28,12 +28,7 @@ pub struct Cells(u64);
 impl Cells {
     /// The cells that contain detected corners.
     pub fn of(sighting: &Sighting, size: ImageSize) -> Self {
-        let mut cells = Self::default();
-        for corner in sighting.corners() {
-            let [column, row] = cell_of(&corner.pixel, size);
-            cells.0 |= 1 << (row * CELLS[0] + column);
-        }
-        cells
+        sighting.corners().iter().map(|corner| cell_of(&corner.pixel, size)).collect()
     }
 
     /// The union of both sets.
@@ -61,6 +56,12 @@ impl Cells {
     /// Whether the set contains a cell.
     pub fn has(self, [column, row]: [u32; 2]) -> bool {
         column < CELLS[0] && row < CELLS[1] && self.0 >> (row * CELLS[0] + column) & 1 == 1
+    }
+}
+
+impl FromIterator<[u32; 2]> for Cells {
+    fn from_iter<List: IntoIterator<Item = [u32; 2]>>(cells: List) -> Self {
+        Self(cells.into_iter().fold(0, |all, [column, row]| all | 1 << (row * CELLS[0] + column)))
     }
 }
 

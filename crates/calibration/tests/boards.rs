@@ -1,14 +1,6 @@
 //! Boards with markers: images drawn and evaluated by OpenCV 4.14.0 (tests/data/coded_boards_by_opencv.py), boards printed by
 //! this crate, and calibrations from partly visible boards.
 
-#![allow(
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "tests may fail loudly, and show what they measured"
-)]
-
-use pb3dp_record::metrics::percentile;
 use std::collections::BTreeMap;
 
 use image::GrayImage;
@@ -19,7 +11,8 @@ use pb3dp_calibration::fit::{Fit, View};
 use pb3dp_calibration::ink::{draw, ink};
 use pb3dp_calibration::lens::LensModel;
 
-use crate::support::{Random, SIZE, Session, board, normalised_errors, rig, views, views_of};
+use crate::program::calibrate;
+use crate::support::{Random, SIZE, Session, board, median_and_p95, normalised_errors, rig, views, views_of};
 
 const DATA: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data");
 
@@ -51,11 +44,6 @@ fn truth() -> BTreeMap<String, BTreeMap<(u32, u32), Truth>> {
         all.entry(image.to_owned()).or_default().insert(place, truth);
     }
     all
-}
-
-/// Median and 95th percentile of a list.
-fn median_and_p95(values: &[f64]) -> [f64; 2] {
-    [50.0, 95.0].map(|percent| percentile(values, percent).unwrap_or(f64::NAN))
 }
 
 #[test]
@@ -125,24 +113,16 @@ fn another_board_is_not_taken_for_it() {
 fn the_program_prints_boards_that_are_found() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name).display().to_string();
-    let print = |args: &[&str]| {
-        let program =
-            std::process::Command::new(env!("CARGO_BIN_EXE_pb3dp-calibrate")).arg("board").args(args).output();
-        let output = program.expect("it starts");
-        let output_text =
-            format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-        (output.status.success(), output_text)
-    };
     let name = ["--board", "charuco:8x6:DICT_4X4_50", "--square", "30", "--marker", "22"];
     let (png, svg) = (path("board.png"), path("board.svg"));
-    let (written, output_text) = print(&[&name[..], &["--dpi", "100", "--out", &png]].concat());
-    assert!(written && output_text.contains("240.00 x 180.00 mm"), "{output_text}");
+    let printed = calibrate(&[&["board"], &name, &["--dpi", "100", "--out", &png]]);
+    printed.succeeded().contains_all(&["240.00 x 180.00 mm"]);
     let image = image::open(&png).expect("an image").into_luma8();
     let sighting = find_board(&image, &charuco()).expect("seen");
     let at = |column, row| sighting.at(column, row).expect("seen").pixel;
     let length_mm = (at(6, 0) - at(0, 0)).norm() / 100.0 * 25.4;
     assert!((length_mm - 180.0).abs() < 0.05, "{length_mm}");
-    assert!(print(&[&name[..], &["--out", &svg]].concat()).0);
+    calibrate(&[&["board"], &name, &["--out", &svg]]).succeeded();
     let text = std::fs::read_to_string(&svg).expect("a drawing");
     // White margins of 0.08 of the shorter side.
     assert!(text.contains("width=\"268.8000mm\" height=\"208.8000mm\""), "{}", &text[..200]);
@@ -153,8 +133,7 @@ fn the_program_prints_boards_that_are_found() {
         (vec!["--board", "dots:6x6", "--square", "30", "--out", &png], "aprilgrid:6x6"),
         (vec!["--board", "9x6", "--square", "30", "--out", "board.pdf"], ".svg or .png"),
     ] {
-        let (written, output_text) = print(&args);
-        assert!(!written && output_text.contains(named), "{args:?}: {output_text}");
+        calibrate(&[&["board"], &args]).refused().contains_all(&[named]);
     }
 }
 
@@ -165,7 +144,7 @@ fn share_within(
     see: impl Fn(&pb3dp_geometry::StereoRig, &Session, &mut Random) -> Vec<View<2>>,
 ) {
     const RIGS: u32 = 20;
-    let session = Session { views: 15, corner_sigma_px: 0.1, flatness_m: 0.0002, ..Session::default() };
+    let session = Session { flatness_m: 0.0002, ..Session::GOOD };
     let (mut within, mut all, mut detected, mut corners) = (0_usize, 0_usize, 0_usize, 0_usize);
     for seed in 0..RIGS {
         let mut random = Random::new(300 + seed);

@@ -1,13 +1,5 @@
 //! A simulated operator who follows the coach, with the accuracy of human hands.
 
-#![allow(
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stdout,
-    dead_code,
-    reason = "tests may fail loudly, show what they measured, and share more than one of them needs"
-)]
-
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 use pb3dp_calibration::coach::{VIEWS_MAX, ViewRequest, advice};
 use pb3dp_calibration::fit::View;
@@ -20,16 +12,6 @@ use pb3dp_geometry::{StereoRig, so3};
 use pb3dp_record::metrics::median;
 
 use crate::support::{Random, SIZE, Session, board, detected_by_both, rig, views};
-
-const GOOD: Session = Session {
-    views: 15,
-    corner_sigma_px: 0.1,
-    refocused: 0.0,
-    moved_between_cameras_m: 0.0,
-    flatness_m: 0.0,
-    streak_max_px: 0.0,
-    tilt_max_rad: 0.0,
-};
 
 /// The board at the requested position, with the errors of a hand; moved towards the middle until both cameras see all of it.
 fn follow(request: &ViewRequest, rig: &StereoRig, random: &mut Random, name: String) -> View<2> {
@@ -58,7 +40,7 @@ fn follow(request: &ViewRequest, rig: &StereoRig, random: &mut Random, name: Str
         let Ok(ray) = rig.left().unproject(&pixel) else { continue };
         let to_middle = Isometry3::from_parts((ray * distance_m).into(), so3::exp(&turn));
         let cam_left_from_board = to_middle * Isometry3::translation(-middle.x, -middle.y, 0.0);
-        if let Some(sightings) = detected_by_both(rig, &cam_left_from_board, &GOOD, random) {
+        if let Some(sightings) = detected_by_both(rig, &cam_left_from_board, (0.1, 1.0), random) {
             return View { name, sightings };
         }
     }
@@ -101,7 +83,7 @@ fn who_follows_the_coach_passes_the_gates() {
         let mut random = Random::new(7000 + seed);
         let truth = rig(&mut random);
         let coached = coached(&truth, &mut random);
-        let session = Session { views: coached.len(), ..GOOD };
+        let session = Session { views: coached.len(), ..Session::GOOD };
         let at_random = judged(&views(&truth, &session, &mut random));
         let verdicts = judged(&coached);
         counts.push(coached.len() as f64);

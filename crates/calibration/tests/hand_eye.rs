@@ -1,12 +1,5 @@
 //! Simulated stereo rigs on arms: hand-eye calibrations compared with the ground truth and with OpenCV, and planted defects.
 
-#![allow(
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "tests may fail loudly, and show what they measured"
-)]
-
 use crate::support;
 use nalgebra::{Isometry3, Vector3};
 use pb3dp_calibration::fit::Fit;
@@ -15,11 +8,10 @@ use pb3dp_calibration::hand_eye::gates::{ROTATION_SPREAD, SCALE};
 use pb3dp_calibration::hand_eye::{CalibrationCovariance, Given, HandEyeError, HandEyeFit, HandEyeStop, RobotSigma};
 use pb3dp_calibration::lens::LensModel;
 use pb3dp_geometry::{StereoRig, se3, so3};
-use pb3dp_record::calibration_files::{BoardPlace, ParameterCovariance};
-use pb3dp_record::metrics::percentile;
+use pb3dp_record::calibration_files::ParameterCovariance;
 
 use crate::arm::{GOOD, JointWorld, Visit, World};
-use crate::support::{Random, Session, board};
+use crate::support::{Random, Session, board, median_and_p95};
 use pb3dp_test_support::sweep;
 
 /// Number of rigs evaluated with OpenCV.
@@ -47,24 +39,12 @@ fn fit(stops: &[HandEyeStop], rig: &StereoRig) -> Result<HandEyeFit, HandEyeErro
 }
 
 fn poses(fit: &HandEyeFit) -> Vec<Isometry3<f64>> {
-    let mut poses = vec![*fit.flange_from_cam_left().isometry()];
-    match fit.board() {
-        BoardPlace::Room { base_from_board } => poses.push(*base_from_board.isometry()),
-        BoardPlace::Carried { vs_base_from_tc_base, tc_flange_from_board } => {
-            poses.extend([*vs_base_from_tc_base.isometry(), *tc_flange_from_board.isometry()]);
-        }
-    }
-    poses
+    fit.poses().into_iter().map(|(_, pose)| pose).collect()
 }
 
 /// Distance in mm and angle in degrees.
 fn apart(a: &Isometry3<f64>, b: &Isometry3<f64>) -> [f64; 2] {
     [(a.translation.vector - b.translation.vector).norm() * 1e3, a.rotation.angle_to(&b.rotation).to_degrees()]
-}
-
-/// Median and 95th percentile.
-fn quantiles(values: &[f64]) -> [f64; 2] {
-    [50.0, 95.0].map(|percent| percentile(values, percent).unwrap())
 }
 
 /// Results over a hundred rigs.
@@ -107,7 +87,7 @@ impl Tally {
 
     /// Median and 95th percentile of the errors of a pose.
     fn of(&self, pose: usize) -> [[f64; 2]; 2] {
-        [0, 1].map(|which| quantiles(&self.errors[pose].iter().map(|error| error[which]).collect::<Vec<_>>()))
+        [0, 1].map(|which| median_and_p95(&self.errors[pose].iter().map(|error| error[which]).collect::<Vec<_>>()))
     }
 
     fn tell(&self, what: &str, names: &[&str]) {
@@ -121,7 +101,7 @@ impl Tally {
             100.0 * self.share(),
             self.all,
             self.squares / self.all as f64,
-            quantiles(&self.noise_ratios)[0]
+            median_and_p95(&self.noise_ratios)[0]
         );
     }
 }
@@ -155,67 +135,68 @@ fn exact_stops_give_back_the_exact_poses() {
     }
 }
 
-#[test]
-fn a_head_on_an_arm_is_found_and_its_errors_are_stated() {
+/// Fits the stops of each seed, and checks the errors of the poses with these numbers and the share within one stated standard deviation.
+fn check_sweep(
+    what: &str,
+    names: &[&str],
+    (count, long, refused_max): (u32, u32, usize),
+    (checked, mm_max): (&[usize], f64),
+    visited: impl Fn(u32) -> (World, Vec<HandEyeStop>),
+) {
     let mut tally = Tally::default();
-    for seed in 0..rigs() {
-        let (world, stops) = visited(seed, &GOOD);
+    for seed in 0..count {
+        let (world, stops) = visited(seed);
         let fit = fit(&stops, &world.rig).unwrap_or_else(|error| panic!("seed {seed}: {error}"));
         tally.add(seed, &fit, &world.poses());
     }
-    tally.tell("0.1 mm and 0.02 deg of the flange, 0.1 px, 15 stops", &["flange_from_cam_left", "base_from_board"]);
-    let [mm, deg] = tally.of(0);
-    assert!(mm[0] <= 0.3 && deg[0] <= 0.05, "{mm:?} mm, {deg:?} deg");
-    assert!((tally.share() - 0.683).abs() <= share_tolerance(rigs(), RIGS), "{}", tally.share());
-    assert!(tally.refused <= sweep(1, 3), "{}", tally.refused);
+    tally.tell(what, names);
+    for pose in checked {
+        let [mm, deg] = tally.of(*pose);
+        assert!(mm[0] <= mm_max && deg[0] <= 0.05, "{}: {mm:?} mm, {deg:?} deg", names[*pose]);
+    }
+    assert!((tally.share() - 0.683).abs() <= share_tolerance(count, long), "{}", tally.share());
+    assert!(tally.refused <= refused_max, "{}", tally.refused);
+}
+
+const IN_ROOM: [&str; 2] = ["flange_from_cam_left", "base_from_board"];
+
+#[test]
+fn a_head_on_an_arm_is_found_and_its_errors_are_stated() {
+    let what = "0.1 mm and 0.02 deg of the flange, 0.1 px, 15 stops";
+    check_sweep(what, &IN_ROOM, (rigs(), RIGS, sweep(1, 3)), (&[0], 0.3), |seed| visited(seed, &GOOD));
 }
 
 #[test]
 fn noise_in_the_joints_of_a_pa10_that_visits_the_proposed_poses_is_borne() {
-    let mut tally = Tally::default();
-    for seed in 0..rigs_of_arm() {
+    let what = "joints of a PA-10, 0.1 mm at the flange";
+    check_sweep(what, &IN_ROOM, (rigs_of_arm(), 40, 1), (&[0], 0.3), |seed| {
         let mut random = Random::new(3000 + seed);
         let arm = JointWorld::new(1e-4, &mut random);
         let stops = arm.visit(&GOOD, &mut random);
-        let fit = fit(&stops, &arm.world.rig).unwrap_or_else(|error| panic!("seed {seed}: {error}"));
-        tally.add(seed, &fit, &arm.world.poses());
-    }
-    tally.tell("joints of a PA-10, 0.1 mm at the flange", &["flange_from_cam_left", "base_from_board"]);
-    let [mm, deg] = tally.of(0);
-    assert!(mm[0] <= 0.3 && deg[0] <= 0.05, "{mm:?} mm, {deg:?} deg");
-    assert!((tally.share() - 0.683).abs() <= share_tolerance(rigs_of_arm(), 40), "{}", tally.share());
-    assert!(tally.refused <= 1, "{}", tally.refused);
+        (arm.world, stops)
+    });
 }
 
 #[test]
 fn base_to_base_and_flange_to_board_are_found_in_one_adjustment() {
-    let mut tally = Tally::default();
-    for seed in 0..rigs() {
+    let names = ["flange_from_cam_left", "vs_base_from_tc_base", "tc_flange_from_board"];
+    let what = "board on the other arm, 12 stops of each arm";
+    check_sweep(what, &names, (rigs(), RIGS, sweep(1, 3)), (&[0, 2], 0.4), |seed| {
         let mut random = Random::new(2000 + seed);
         let world = World::carried(&mut random);
         let stops = world.visit(&Visit { stops: 24, ..GOOD }, &mut random);
-        let fit = fit(&stops, &world.rig).unwrap_or_else(|error| panic!("seed {seed}: {error}"));
-        tally.add(seed, &fit, &world.poses());
-    }
-    let names = ["flange_from_cam_left", "vs_base_from_tc_base", "tc_flange_from_board"];
-    tally.tell("board on the other arm, 12 stops of each arm", &names);
-    for pose in [0, 2] {
-        let [mm, deg] = tally.of(pose);
-        assert!(mm[0] <= 0.4 && deg[0] <= 0.05, "{}: {mm:?} mm, {deg:?} deg", names[pose]);
-    }
-    assert!((tally.share() - 0.683).abs() <= share_tolerance(rigs(), RIGS), "{}", tally.share());
-    assert!(tally.refused <= sweep(1, 3), "{}", tally.refused);
+        (world, stops)
+    });
 }
 
 #[test]
 fn errors_of_the_stereo_calibration_are_counted() {
-    let session = Session { views: 15, corner_sigma_px: 0.1, ..Session::default() };
     let (mut counted, mut left_out) = (Tally::default(), Tally::default());
     let (mut points_mm, mut squares) = (Vec::new(), 0.0);
     for seed in 0..rigs_of_arm() {
         let mut random = Random::new(5000 + seed);
         let world = World::in_room(&mut random);
-        let views = support::views(&world.rig, &session, &mut random);
+        let views = support::views(&world.rig, &Session::GOOD, &mut random);
         let head = Fit::<2>::new(&views, &board(), support::SIZE, LensModel::Brown4).expect("a head");
         let covariance = head.covariance();
         let rows = covariance.matrix.row_iter().map(|row| row.iter().copied().collect()).collect();
@@ -232,7 +213,7 @@ fn errors_of_the_stereo_calibration_are_counted() {
         points_mm.push(error_m * 1e3);
         squares += (error_m / fit.hand_error_m(DISTANCE_M)).powi(2) / f64::from(rigs_of_arm());
     }
-    let [median, p95] = quantiles(&points_mm);
+    let [median, p95] = median_and_p95(&points_mm);
     println!(
         "a point 500 mm ahead, on the flange: median {median:.3}, p95 {p95:.3} mm; mean square over the stated variance {squares:.2}"
     );
@@ -263,7 +244,7 @@ fn opencv_is_farther_from_the_truth_on_the_same_stops() {
         theirs.entry(method).or_default().push(apart(&found, truth));
     }
     let of = |errors: &[[f64; 2]]| {
-        [0, 1].map(|which| quantiles(&errors.iter().map(|error| error[which]).collect::<Vec<_>>()))
+        [0, 1].map(|which| median_and_p95(&errors.iter().map(|error| error[which]).collect::<Vec<_>>()))
     };
     let tell = |name: &str, [mm, deg]: [[f64; 2]; 2]| {
         println!("{name:<10} median {:.3} mm, {:.4} deg; p95 {:.3} mm, {:.4} deg", mm[0], deg[0], mm[1], deg[1]);
@@ -307,7 +288,7 @@ fn stops_that_were_recorded_while_moving_are_found() {
                 assert!((stop.left_out_mm - 5.0).abs() < 2.0, "{stop:?}");
             }
         }
-        let [median_mm, p95_mm] = quantiles(&errors);
+        let [median_mm, p95_mm] = median_and_p95(&errors);
         println!(
             "{moving} of 15 stops with 5 mm error: {found} of {} found, {wrong} good stops rejected; errors: median {median_mm:.3}, p95 {p95_mm:.3} mm",
             moving * rigs() as usize

@@ -1,16 +1,8 @@
 //! A stereo rig on an arm, calibrated with the commands only, from rendered images: first view, proposed poses, stereo rig,
 //! hand-eye, and the board on the other arm.
 
-#![allow(
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "tests may fail loudly, and show what they measured"
-)]
-
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
 
 use nalgebra::{Isometry3, Vector3, Vector6};
 use pb3dp_geometry::frames::{Base, Flange};
@@ -22,24 +14,9 @@ use pb3dp_record::images::{StoredFormat, save};
 use pb3dp_record::stops::{ArmOfPoses, ArmStand, Stop, Stops, load_poses, save_stops};
 
 use crate::arm::{GOOD, Place, World};
+use crate::program::calibrate;
 use crate::renderer::{Imaging, Renderer};
 use crate::support::{Random, board};
-
-fn calibrate(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_pb3dp-calibrate")).args(args).output().expect("it starts")
-}
-
-fn text(output: &Output) -> String {
-    format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
-}
-
-/// Output of a successful command.
-fn output_of(args: &[&str]) -> String {
-    let output = calibrate(args);
-    let output_of = text(&output);
-    assert!(output.status.success(), "{args:?}\n{output_of}");
-    output_of
-}
 
 /// A workcell with two arms, one of which carries the board.
 struct Cell {
@@ -162,20 +139,15 @@ fn head_hand_and_both_arms_are_calibrated_by_the_commands_alone() {
     // Poses of the arm with the cameras; then the stereo and hand-eye calibration from them.
     let guessed = guess(&cell.world.flange_from_cam_left);
     let from_look = ["propose", "--recording", &look, "--calib", &nominal];
-    println!("{}", output_of(&[&from_look, &TARGET[..], &["--guess", &guessed, "--out", &vs_poses]].concat()));
+    calibrate(&[&from_look, &TARGET, &["--guess", &guessed, "--out", &vs_poses]]).succeeded();
     let of_vs: Vec<_> = poses_of(Path::new(&vs_poses), ArmOfPoses::Vs).iter().map(|pose| [*pose, first[1]]).collect();
     assert_eq!(of_vs.len(), 18);
     let stops = cell.record("stops", &of_vs).display().to_string();
-    let head = output_of(&[&["stereo", "--left", &stops, "--right", &stops, "--out", &calib], &TARGET[..]].concat());
-    println!("{head}");
-    assert!(head.contains("good     views = 18.000"), "{head}");
+    let head = calibrate(&[&["stereo", "--left", &stops, "--right", &stops, "--out", &calib], &TARGET]).succeeded();
+    head.contains_all(&["good     views = 18.000"]);
     let hand = ["hand-eye", "--recording", &stops, "--calib", &calib];
-    let reported_hand = output_of(&[&hand, &TARGET[..], &["--out", &hand_eye]].concat());
-    println!("{reported_hand}");
-    assert!(
-        reported_hand.contains("the arm tc has not moved") && reported_hand.contains("flange_from_hand = {"),
-        "{reported_hand}"
-    );
+    let reported_hand = calibrate(&[&hand, &TARGET, &["--out", &hand_eye]]).succeeded();
+    reported_hand.contains_all(&["the arm tc has not moved", "flange_from_hand = {"]);
     let found = load_hand_eye(Path::new(&hand_eye)).expect("a hand-eye calibration");
     check_hand(&found, &cell, &calib);
     assert!(matches!(found.board, BoardPlace::Room { .. }));
@@ -184,13 +156,8 @@ fn head_hand_and_both_arms_are_calibrated_by_the_commands_alone() {
     assert_eq!(found.judgement.date, "2026-11-22T09:00:00Z");
 
     // Wrong square size.
-    let wrong = calibrate(&[&hand[..], &["--board", "9x6", "--square", "25.25"]].concat());
-    let output_text = text(&wrong);
-    assert!(!wrong.status.success(), "{output_text}");
-    assert!(
-        output_text.contains("refused  scale_percent") && output_text.contains("measure the squares"),
-        "{output_text}"
-    );
+    let wrong = calibrate(&[&hand, &["--board", "9x6", "--square", "25.25"]]).refused();
+    wrong.contains_all(&["refused  scale_percent", "measure the squares"]);
     both_arms(&mut cell, first[0], [&look, &stops, &calib, &hand_eye]);
 }
 
@@ -201,16 +168,12 @@ fn both_arms(cell: &mut Cell, vs: Isometry3<f64>, [look, stops, calib, hand_eye]
     let bases = guess(&vs_base_from_tc_base);
     let known = ["--arm", "tc", "--count", "12", "--hand-eye", hand_eye, "--guess-bases", &bases, "--out", &tc_poses];
     let from_look = ["propose", "--recording", look, "--calib", calib];
-    println!("{}", output_of(&[&from_look, &TARGET[..], &known].concat()));
+    calibrate(&[&from_look, &TARGET, &known]).succeeded();
     let of_tc: Vec<_> = poses_of(Path::new(&tc_poses), ArmOfPoses::Tc).iter().map(|pose| [vs, *pose]).collect();
     let more = cell.record("more", &of_tc).display().to_string();
     let both = ["hand-eye", "--recording", stops, &more, "--calib", calib, "--out", hand_eye];
-    let reported_both = output_of(&[&both, &TARGET[..]].concat());
-    println!("{reported_both}");
-    assert!(
-        reported_both.contains("the board is mounted on the flange of tc") && reported_both.contains("[arms.tc]"),
-        "{reported_both}"
-    );
+    let reported_both = calibrate(&[&both, &TARGET]).succeeded();
+    reported_both.contains_all(&["the board is mounted on the flange of tc", "[arms.tc]"]);
     let found = load_hand_eye(Path::new(hand_eye)).expect("a hand-eye calibration");
     let BoardPlace::Carried { vs_base_from_tc_base: bases, tc_flange_from_board: on_flange } = found.board else {
         panic!("{:?}", found.board)
@@ -238,22 +201,23 @@ fn what_can_not_be_is_refused_with_the_way_out() {
     let nominal = path("nominal.json");
     save_nominal(&World::in_room(&mut Random::new(3)).rig, Path::new(&nominal));
     let here = folder.path().display().to_string();
-    let refusal = |args: &[&str]| {
-        let output = calibrate(args);
-        assert!(!output.status.success(), "{args:?}");
-        text(&output)
-    };
-    let target = ["--recording", &here, "--calib", &nominal, "--board", "9x6", "--square", "25"];
-    assert!(refusal(&[&["hand-eye"], &target[..]].concat()).contains("stops.toml"));
-    let sigma = refusal(&[&["hand-eye", "--robot-sigma", "0.1"], &target[..]].concat());
-    assert!(sigma.contains("MM,DEG"), "{sigma}");
-    let no_guess = refusal(&[&["propose", "--out", "x.toml"], &target[..]].concat());
-    assert!(no_guess.contains("--guess X,Y,Z,RX,RY,RZ"), "{no_guess}");
-    let five = refusal(&[&["propose", "--out", "x.toml", "--guess", "1,2,3,4,5"], &target[..]].concat());
-    assert!(five.contains("six numbers"), "{five}");
-    let setup = path("setup.toml");
-    fs::write(&setup, "[mounts]\nflange_from_hand = { translation_mm = [0, 0], rotation_vector_deg = [0, 0, 0] }\n")
-        .expect("written");
-    let wrong = refusal(&[&["propose", "--out", "x.toml", "--setup", &setup], &target[..]].concat());
-    assert!(wrong.contains("mounts.flange_from_hand: must be"), "{wrong}");
+    let [short, no_number] = ["[0, 0]", "[nan, 0, 0]"].map(|translation_mm| {
+        let file = path(&format!("setup {translation_mm}.toml"));
+        let pose = format!("{{ translation_mm = {translation_mm}, rotation_vector_deg = [0, 0, 0] }}");
+        fs::write(&file, format!("[mounts]\nflange_from_hand = {pose}\n")).expect("written");
+        file
+    });
+    let propose = ["propose", "--out", "x.toml"];
+    let refused: [(&[&str], &[&str], &str); 6] = [
+        (&["hand-eye"], &[], "stops.toml"),
+        (&["hand-eye"], &["--robot-sigma", "0.1"], "MM,DEG"),
+        (&propose, &[], "--guess X,Y,Z,RX,RY,RZ"),
+        (&propose, &["--guess", "1,2,3,4,5"], "six numbers"),
+        (&propose, &["--setup", &short], "mounts.flange_from_hand: must be"),
+        (&propose, &["--setup", &no_number], "mounts.flange_from_hand: must be"),
+    ];
+    for (args, further, named) in refused {
+        let recording = ["--recording", &here, "--calib", &nominal];
+        calibrate(&[args, &recording, &TARGET, further]).refused().contains_all(&[named]);
+    }
 }

@@ -12,6 +12,8 @@ mod film;
 mod hand_eye;
 mod hand_eye_command;
 mod opencv;
+#[path = "support/program.rs"]
+mod program;
 mod propose;
 mod recording;
 #[path = "support/rendered.rs"]

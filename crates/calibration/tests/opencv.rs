@@ -1,23 +1,14 @@
 //! Comparison with OpenCV 4.14.0 on real images: adjustment of the same corners (tests/data/stereo_by_opencv.py), and corners of
 //! the same images (tests/data/corners_by_opencv.py).
 
-#![allow(
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "tests may fail loudly, and show what they measured"
-)]
-
-use pb3dp_record::metrics::percentile;
 use std::collections::BTreeMap;
 
 use nalgebra::{Rotation3, Vector2, Vector3};
 use pb3dp_calibration::board::{BoardCorner, Chessboard, Sighting};
 use pb3dp_calibration::fit::{Fit, View};
 use pb3dp_calibration::lens::LensModel;
-use pb3dp_geometry::ImageSize;
 
-const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
+use crate::support::{SIZE, median_and_p95};
 
 /// One set of images, with OpenCV's results.
 struct Set {
@@ -125,11 +116,6 @@ fn bumblebee2_agrees_with_opencv_and_with_its_maker() {
     let baseline_mm = check_calibration(&bumblebee2_chessboards());
     // 120.0 mm in the data sheet, 120.4 mm in other OpenCV calibrations.
     assert!((119.6..=120.8).contains(&baseline_mm), "{baseline_mm}");
-}
-
-/// Median and 95th percentile of a list.
-fn median_and_p95(values: &[f64]) -> [f64; 2] {
-    [50.0, 95.0].map(|percent| percentile(values, percent).unwrap())
 }
 
 #[test]

@@ -1,12 +1,5 @@
 //! Proposed poses: the whole board stays in both images despite uncertain inputs, and the poses allow a stereo calibration.
 
-#![allow(
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "tests may fail loudly, and show what they measured"
-)]
-
 use nalgebra::{Isometry3, Vector3};
 use pb3dp_calibration::fit::View;
 use pb3dp_calibration::gates::{COVERAGE, Grade, Limits};
@@ -14,10 +7,10 @@ use pb3dp_calibration::hand_eye::propose::{ProposalRequest, ProposeError, propos
 use pb3dp_calibration::held_out::choose;
 use pb3dp_calibration::lens::LensModel;
 use pb3dp_calibration::quality::Quality;
-use pb3dp_geometry::{Camera, Pinhole, Pose, StereoRig, so3};
+use pb3dp_geometry::{Pose, StereoRig, so3};
 
 use crate::arm::{GOOD, World};
-use crate::support::{Random, SIZE, board};
+use crate::support::{Random, SIZE, board, with_focal};
 
 const RIGS: u32 = 20;
 const REQUEST: ProposalRequest = ProposalRequest {
@@ -37,13 +30,9 @@ fn first_look(random: &mut Random, distance_m: f64) -> Isometry3<f64> {
 }
 
 /// The stereo rig with another focal length.
-fn with_focal(rig: &StereoRig, factor: f64) -> StereoRig {
-    let camera = |camera: &Camera| {
-        let p = camera.pinhole();
-        let pinhole = Pinhole { fx: p.fx * factor, fy: p.fy * factor, ..*p };
-        Camera::new(camera.size(), pinhole, *camera.distortion()).expect("a camera")
-    };
-    StereoRig::new(camera(rig.left()), camera(rig.right()), *rig.cam_right_from_cam_left()).expect("a head")
+fn rig_with_focal(rig: &StereoRig, factor: f64) -> StereoRig {
+    let [left, right] = [rig.left(), rig.right()].map(|camera| with_focal(camera, factor));
+    StereoRig::new(left, right, *rig.cam_right_from_cam_left()).expect("a head")
 }
 
 /// A uniformly distributed direction.
@@ -61,7 +50,7 @@ fn the_board_stays_whole_and_the_views_calibrate_the_head() {
         let world = World::in_room(&mut random);
         // The assumed values have the maximum allowed errors.
         let factor = if seed % 2 == 0 { 1.02 } else { 1.0 / 1.02 };
-        let believed = with_focal(&world.rig, factor);
+        let believed = rig_with_focal(&world.rig, factor);
         let (turn, shift) =
             (direction(&mut random) * REQUEST.guess_error_rad, direction(&mut random) * REQUEST.guess_error_m);
         let error = Isometry3::from_parts(shift.into(), so3::exp(&turn));

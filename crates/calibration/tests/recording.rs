@@ -1,26 +1,22 @@
 //! Recordings at full frame rate: selected pairs, resulting calibrations, and reports.
 
-#![allow(
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "tests may fail loudly, and show what they measured"
-)]
-
 use crate::film;
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Command;
 use std::time::Duration;
 
-use crate::film::{AT_REST, Studio, board, places, record, rig};
+use crate::film::{AT_REST, Studio, places, record, rig};
+use crate::program::{Output, calibrate};
+use crate::support::board;
 use image::RgbImage;
 use nalgebra::Isometry3;
 use pb3dp_bag::cdr::Bytes;
 use pb3dp_bag::messages::{Header, Image};
 use pb3dp_bag::run_messages::{SetupFile, SetupFiles};
 use pb3dp_bag::writer::{BagWriter, WhenFull};
+use pb3dp_geometry::frames::{Base, Flange};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_record::calibration_files::{
     BoardPlace, CameraIdentity, HandEye, JudgedGate, Judgement, cameras_text, load_hand_eye, load_stereo,
@@ -30,12 +26,19 @@ use pb3dp_record::dataset::load_sequence;
 use pb3dp_record::images::load_rgb;
 use pb3dp_record::stops::{ArmStand, Stop, Stops, save_stops};
 
-fn calibrate(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_pb3dp-calibrate")).args(args).output().expect("it starts")
-}
+const BOARD: [&str; 4] = ["--board", "9x6", "--square", "25"];
 
-fn text(output: &Output) -> String {
-    format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
+/// Saves the pairs of these board poses in a folder, each as a stop of an arm.
+fn record_stops(folder: &Path, studio: &Studio, stops: &[(Isometry3<f64>, Pose<Base, Flange>)]) {
+    let stop = |(number, (place, base_from_flange)): (usize, &(Isometry3<f64>, Pose<Base, Flange>))| {
+        let [left, right] = ["left", "right"].map(|side| format!("{side}_{number}.png"));
+        for (image, name) in studio.pair(place, 0.0).iter().zip([&left, &right]) {
+            image.save(folder.join(name)).expect("written");
+        }
+        Stop { left, right, vs: ArmStand { joints_rad: [0.1; 7], base_from_flange: *base_from_flange }, tc: None }
+    };
+    let stops = stops.iter().enumerate().map(stop).collect();
+    save_stops(folder, &Stops { date: "2026-11-22T09:00:00Z".to_owned(), stops }).expect("written");
 }
 
 /// Tags are closed in the order in which they are opened, and no external resource is loaded.
@@ -80,14 +83,9 @@ fn views_are_chosen_from_a_recording_and_the_head_is_found() {
     let path = |name: &str| folder.path().join(name).display().to_string();
     let (corners, toml, html) = (path("corners.csv"), path("calib.toml"), path("report.html"));
     let recording = recording.display().to_string();
-    let common = ["--recording", &recording, "--board", "9x6", "--square"];
-    let made = ["25", "--lens", "radial-2", "--corners", &corners, "--out", &toml, "--report", &html];
-    let output = calibrate(&[&["stereo"], &common[..], &made].concat());
-    let output_text = text(&output);
-    println!("{output_text}");
-    assert!(output.status.success(), "{output_text}");
-    assert!(output_text.contains(&format!("of {} pairs, selected", rests.len())), "{output_text}");
-    assert!(output_text.contains("the board moves faster than"), "{output_text}");
+    let made = ["--lens", "radial-2", "--corners", &corners, "--out", &toml, "--report", &html];
+    let output = calibrate(&[&["stereo", "--recording", &recording], &BOARD, &made]).succeeded();
+    output.contains_all(&[&format!("of {} pairs, selected", rests.len()), "the board moves faster than"]);
     let chosen = frames(Path::new(&corners));
     let at: BTreeSet<Option<usize>> = chosen.iter().map(|frame| rests[*frame]).collect();
     assert!(!at.contains(&None) && !at.contains(&Some(blurred)), "{chosen:?}");
@@ -99,31 +97,16 @@ fn views_are_chosen_from_a_recording_and_the_head_is_found() {
     let focal = found.left().pinhole().fx / truth.left().pinhole().fx - 1.0;
     println!("baseline {:+.3} %, focal length {:+.3} % wrong", 100.0 * baseline, 100.0 * focal);
     assert!(baseline.abs() < 0.005 && focal.abs() < 0.005);
-    report_says_what_the_file_says(&html, &calibration.judgement.expect("judged").gates, &output_text);
-    verified(&toml, &common);
+    report_says_what_the_file_says(&html, &calibration.judgement.expect("judged").gates, &output);
+    verified(&toml, &recording);
     assert!(chosen.len() * AT_REST < rests.len());
     let mcap = folder.path().join("board.mcap");
     let date = as_mcap(Path::new(&recording), &mcap);
     let (mcap, second) = (mcap.display().to_string(), path("of_mcap.toml"));
-    let output = calibrate(&[
-        "stereo",
-        "--recording",
-        &mcap,
-        "--board",
-        "9x6",
-        "--square",
-        "25",
-        "--lens",
-        "radial-2",
-        "--out",
-        &second,
-    ]);
-    assert!(
-        text(&output).contains(&format!("of {} pairs, selected {}", rests.len(), chosen.len())),
-        "{}",
-        text(&output)
-    );
-    assert!(text(&output).contains("cameras: "), "the recording has a cameras.toml: {}", text(&output));
+    let made = ["--lens", "radial-2", "--out", &second];
+    let output = calibrate(&[&["stereo", "--recording", &mcap], &BOARD, &made]);
+    // The recording has a cameras.toml.
+    output.contains_all(&[&format!("of {} pairs, selected {}", rests.len(), chosen.len()), "cameras: "]);
     let second = load_stereo(&[second.into()]).expect("a calibration");
     assert_eq!(second.rig, calibration.rig, "the same images give the same calibration");
     let judgement = second.judgement.expect("judged");
@@ -184,9 +167,8 @@ fn images_with_both_views_are_read() {
     let found = |path: &Path, more: &[&str]| {
         let corners = folder.path().join("corners.csv").display().to_string();
         let path = path.display().to_string();
-        let common = ["stereo", "--recording", &path, "--board", "9x6", "--square", "25", "--lens", "radial-1"];
-        let output = calibrate(&[&common[..], &["--corners", &corners], more].concat());
-        assert!(text(&output).contains("views = 6.000"), "{}", text(&output));
+        let made = ["--lens", "radial-1", "--corners", &corners];
+        calibrate(&[&["stereo", "--recording", &path], &BOARD, &made, more]).contains_all(&["views = 6.000"]);
         let corners = fs::read_to_string(corners).expect("corners");
         let without_name = |line: &str| line.split_once(',').expect("a table").1.to_owned();
         corners.lines().map(without_name).collect::<Vec<_>>()
@@ -195,75 +177,57 @@ fn images_with_both_views_are_read() {
     assert!(apart.len() > 600, "nearly all 648 corners of both cameras: {}", apart.len());
     assert_eq!(apart, found(&both, &["--layout", "side-by-side"]));
     let path = both.display().to_string();
-    let common = ["stereo", "--recording", &path, "--board", "9x6", "--square", "25"];
-    let refused = calibrate(&common);
-    assert!(!refused.status.success() && text(&refused).contains("no recording"), "{}", text(&refused));
+    calibrate(&[&["stereo", "--recording", &path], &BOARD]).refused().contains_all(&["no recording"]);
 }
 
-fn report_says_what_the_file_says(html: &str, gates: &[JudgedGate], output_text: &str) {
-    says(html, gates, output_text);
+fn report_says_what_the_file_says(html: &str, gates: &[JudgedGate], output: &Output) {
+    says(html, gates, output);
     let html = fs::read_to_string(html).expect("a report");
     assert!(html.contains("data:image/jpeg;base64,") && html.matches("drawn").count() > 4);
 }
 
 /// Checks that a page shows the gates and the verdict of the file and of the printed output.
-fn says(html: &str, gates: &[JudgedGate], output_text: &str) {
+fn says(html: &str, gates: &[JudgedGate], output: &Output) {
     let html = fs::read_to_string(html).expect("a report");
     check_html(&html);
     for gate in gates {
         let row = format!("<td>{}</td><td>{}</td><td>{:.3}</td>", gate.name, gate.grade, gate.measured);
         assert!(html.contains(&row), "{row}");
     }
-    let verdict = output_text.lines().find_map(|line| line.strip_prefix("verdict: ")).expect("a verdict");
+    let verdict = output.text.lines().find_map(|line| line.strip_prefix("verdict: ")).expect("a verdict");
     assert!(html.contains(&format!("Verdict: {verdict}")), "{verdict}");
 }
 
 /// The same board passes verification, a wrong square size does not.
-fn verified(toml: &str, common: &[&str]) {
-    let verify = |square: &str, further: &[&str]| calibrate(&[&["verify", toml], common, &[square], further].concat());
-    let good = verify("25", &["--corners", "0,0", "8,5", "--length", "235.85"]);
-    println!("{}", text(&good));
-    assert!(good.status.success() && text(&good).contains("good     length_percent"), "{}", text(&good));
-    // Lengths are 1.96 % short: 25 / 25.5.
-    let typed_wrong = verify("25.5", &[]);
-    assert!(
-        !typed_wrong.status.success() && text(&typed_wrong).contains("refused  scale_percent = 1.9"),
-        "{}",
-        text(&typed_wrong)
-    );
-    let measured_wrong = verify("25", &["--corners", "0,0", "8,5", "--length", "231"]);
-    assert!(!measured_wrong.status.success() && text(&measured_wrong).contains("refused  length_percent = 2."));
-    let no_corner = verify("25", &["--corners", "0,0", "9,5", "--length", "231"]);
-    assert!(text(&no_corner).contains("corner 9,5 is visible to both cameras in no view"), "{}", text(&no_corner));
+fn verified(toml: &str, recording: &str) {
+    let verify = |square: &str, corners: &[&str]| {
+        calibrate(&[&["verify", toml, "--recording", recording, "--board", "9x6", "--square", square], corners])
+    };
+    verify("25", &["--corners", "0,0", "8,5", "--length", "235.85"])
+        .succeeded()
+        .contains_all(&["good     length_percent"]);
+    for (square, corners, named) in [
+        // Lengths are 1.96 % short: 25 / 25.5.
+        ("25.5", &[][..], "refused  scale_percent = 1.9"),
+        ("25", &["--corners", "0,0", "8,5", "--length", "231"], "refused  length_percent = 2."),
+        ("25", &["--corners", "0,0", "9,5", "--length", "231"], "corner 9,5 is visible to both cameras in no view"),
+    ] {
+        verify(square, corners).refused().contains_all(&[named]);
+    }
 }
 
 #[test]
 fn each_stop_of_an_arm_is_a_view() {
     let folder = tempfile::tempdir().expect("a folder");
     let studio = Studio::new(rig());
-    let stand = ArmStand { joints_rad: [0.1; 7], base_from_flange: Pose::coincident() };
-    let mut stops = Vec::new();
-    for (number, place) in places(&studio.rig).iter().enumerate().take(6) {
-        let names = ["left", "right"].map(|side| format!("{side}_{number}.png"));
-        for (image, name) in studio.pair(place, 0.0).iter().zip(&names) {
-            image.save(folder.path().join(name)).expect("written");
-        }
-        let [left, right] = names;
-        stops.push(Stop { left, right, vs: stand, tc: None });
-    }
-    save_stops(folder.path(), &Stops { date: "2026-11-22T09:00:00Z".to_owned(), stops }).expect("written");
+    let stops: Vec<_> = places(&studio.rig).into_iter().take(6).map(|place| (place, Pose::coincident())).collect();
+    record_stops(folder.path(), &studio, &stops);
     let corners = folder.path().join("corners.csv").display().to_string();
     let recording = folder.path().display().to_string();
-    let board = format!("{}x{}", board().columns(), board().rows());
-    let args = ["stereo", "--recording", &recording, "--board", &board, "--square", "25", "--lens", "radial-1"];
-    let output = calibrate(&[&args[..], &["--corners", &corners]].concat());
+    let made = ["--lens", "radial-1", "--corners", &corners];
+    calibrate(&[&["stereo", "--recording", &recording], &BOARD, &made]).contains_all(&["views = 6.000"]);
     let corners_text = fs::read_to_string(&corners).expect("corners");
-    assert!(text(&output).contains("views = 6.000"), "{}", text(&output));
-    assert!(
-        corners_text.contains("\nstop 00,left,0,0,") && corners_text.contains("\nstop 05,right,8,5,"),
-        "{}",
-        text(&output)
-    );
+    assert!(corners_text.contains("\nstop 00,left,0,0,") && corners_text.contains("\nstop 05,right,8,5,"));
 }
 
 /// Cameras without a common trigger: their images are 4 ms apart.
@@ -285,8 +249,7 @@ fn each_stop_in_a_file_is_a_view() {
     }
     writer.finish().expect("written");
     let path = file.display().to_string();
-    let output = calibrate(&["stereo", "--recording", &path, "--board", "9x6", "--square", "25", "--lens", "radial-1"]);
-    assert!(text(&output).contains("views = 6.000"), "{}", text(&output));
+    calibrate(&[&["stereo", "--recording", &path, "--lens", "radial-1"], &BOARD]).contains_all(&["views = 6.000"]);
 }
 
 /// The cameras see a stationary board from many stops.
@@ -298,17 +261,11 @@ fn what_was_touched_is_where_the_cameras_say() {
     let pose = |shift: [f64; 3], turn: [f64; 3]| Isometry3::new(shift.into(), turn.into());
     let base_from_board = pose([0.52, -0.11, 0.07], [2.9, 0.2, -0.4]);
     let flange_from_cam_left = pose([0.031, -0.045, 0.082], [0.1, -0.2, 1.4]);
-    let mut stops = Vec::new();
-    for (number, cam_left_from_board) in places(&studio.rig).iter().enumerate() {
+    let stop = |cam_left_from_board: Isometry3<f64>| {
         let base_from_flange = base_from_board * cam_left_from_board.inverse() * flange_from_cam_left.inverse();
-        let [left, right] = ["left", "right"].map(|side| format!("{side}_{number}.png"));
-        for (image, name) in studio.pair(cam_left_from_board, 0.0).iter().zip([&left, &right]) {
-            image.save(path(name)).expect("written");
-        }
-        let vs = ArmStand { joints_rad: [0.1; 7], base_from_flange: Pose::from_isometry(base_from_flange) };
-        stops.push(Stop { left, right, vs, tc: None });
-    }
-    save_stops(folder.path(), &Stops { date: "2026-11-22T09:00:00Z".to_owned(), stops }).expect("written");
+        (cam_left_from_board, Pose::from_isometry(base_from_flange))
+    };
+    record_stops(folder.path(), &studio, &places(&studio.rig).into_iter().map(stop).collect::<Vec<_>>());
     save_json(&studio.rig, &path("calib.json")).expect("written");
     let judgement = Judgement {
         date: "2026-11-22T10:00:00Z".to_owned(),
@@ -336,32 +293,25 @@ fn what_was_touched_is_where_the_cameras_say() {
         fs::write(path("touch.toml"), touch_file(off_mm)).expect("written");
         let [calib, recording, touch, hand_eye] =
             ["calib.json", "", "touch.toml", "hand_eye.toml"].map(|name| path(name).display().to_string());
-        let args = ["verify", &calib, "--recording", &recording, "--board", "9x6", "--square", "25"];
-        calibrate(&[&args[..], &["--touch", &touch, "--hand-eye", &hand_eye]].concat())
+        let touched = ["--touch", &touch, "--hand-eye", &hand_eye];
+        calibrate(&[&["verify", &calib, "--recording", &recording], &BOARD, &touched])
     };
-    let good = verify(0.0);
-    println!("{}", text(&good));
-    assert!(good.status.success() && text(&good).contains("good     touch_mm = 0."), "{}", text(&good));
+    verify(0.0).succeeded().contains_all(&["good     touch_mm = 0."]);
     hand_eye_has_a_report(folder.path());
-    let wrong = verify(-5.0);
-    let output_text = text(&wrong);
-    assert!(!wrong.status.success() && output_text.contains("refused  touch_mm = "), "{output_text}");
-    assert!(
-        output_text.lines().any(|line| line.starts_with("corner 3,5: touched at") && line.contains("12 stops")),
-        "{output_text}"
-    );
+    let wrong = verify(-5.0).refused();
+    wrong.contains_all(&["refused  touch_mm = "]);
+    assert!(wrong.text.lines().any(|line| line.starts_with("corner 3,5: touched at") && line.contains("12 stops")));
 }
 
 /// The report of a hand-eye calibration from the stops of a folder agrees with its file.
 fn hand_eye_has_a_report(folder: &Path) {
     let [recording, calib, html, out] =
         ["", "calib.json", "hand.html", "found.toml"].map(|name| folder.join(name).display().to_string());
-    let args = ["hand-eye", "--recording", &recording, "--calib", &calib, "--board", "9x6", "--square", "25"];
-    let output = calibrate(&[&args[..], &["--report", &html, "--out", &out]].concat());
-    println!("{}", text(&output));
+    let made = ["--report", &html, "--out", &out];
+    let output = calibrate(&[&["hand-eye", "--recording", &recording, "--calib", &calib], &BOARD, &made]);
     let gates = load_hand_eye(Path::new(&out)).expect("a calibration").judgement.gates;
     assert_eq!(gates.len(), 8);
-    says(&html, &gates, &text(&output));
+    says(&html, &gates, &output);
     let page = fs::read_to_string(&html).expect("a page");
     assert!(page.contains("left_5.png") && page.contains("base_from_board.rz, degrees"));
 }
@@ -386,21 +336,23 @@ fn the_coach_looks_at_a_recording_that_grows() {
         .spawn()
         .expect("it starts");
     let mut output_text = lines(&mut child);
-    assert!(output_text.next().expect("a line").contains("waiting for images"));
+    let mut assert_next = |part: &str| {
+        let line = output_text.next().expect("a line");
+        assert!(line.contains(part), "{line}");
+    };
+    assert_next("waiting for images");
     let mut writer = film::writer(&recording, &studio.rig);
     let pair = studio.pair(&places[0], 0.0);
     film::push(&mut writer, &pair);
     // One pair alone does not show whether the board is stationary.
-    assert!(output_text.next().expect("a line").contains("0 views, 0 % covered: the board is moving"));
-    assert!(output_text.next().expect("a line").contains("next: hold the board in the middle of the images"));
+    assert_next("0 views, 0 % covered: the board is moving");
+    assert_next("next: hold the board in the middle of the images");
     film::push(&mut writer, &pair);
-    assert!(
-        output_text.next().expect("a line").contains("1 views")
-            && output_text.next().expect("a line").contains("next: ")
-    );
+    assert_next("1 views");
+    assert_next("next: ");
     film::push(&mut writer, &pair);
-    assert!(output_text.next().expect("a line").contains("similar to an earlier view"));
-    assert!(output_text.next().expect("a line").contains("next: "));
+    assert_next("similar to an earlier view");
+    assert_next("next: ");
     for _ in 0..2 {
         film::push(&mut writer, &studio.pair(&places[3], 0.0));
     }

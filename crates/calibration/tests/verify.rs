@@ -1,13 +1,5 @@
 //! Comparison of two calibrations, and lengths, on simulated stereo rigs with exact ground truth.
 
-#![allow(
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stdout,
-    dead_code,
-    reason = "tests may fail loudly, show what they measured, and share more than one of them needs"
-)]
-
 use nalgebra::{Isometry3, Point3, Vector3};
 use pb3dp_calibration::board::Chessboard;
 use pb3dp_calibration::fit::Fit;
@@ -23,18 +15,8 @@ use pb3dp_record::calibration_files::{CalibrationFormat, StereoCalibration};
 
 use crate::support::{Random, SIZE, Session, board, rig, views};
 
-const GOOD: Session = Session {
-    views: 15,
-    corner_sigma_px: 0.1,
-    refocused: 0.0,
-    moved_between_cameras_m: 0.0,
-    flatness_m: 0.0,
-    streak_max_px: 0.0,
-    tilt_max_rad: 0.0,
-};
-
 fn calibrated(truth: &StereoRig, random: &mut Random) -> Known {
-    let views = views(truth, &GOOD, random);
+    let views = views(truth, &Session::GOOD, random);
     let fit = Fit::<2>::new(&views, &board(), SIZE, LensModel::Brown4).expect("a fit");
     let covariance = fit.covariance();
     Known { rig: fit.rig().expect("a head"), names: covariance.names.clone(), covariance: covariance.matrix.clone() }
@@ -50,7 +32,7 @@ fn touched_head(rig: &StereoRig) -> StereoRig {
 fn views_of_a_board_decide_an_unstated_lens_model() {
     let mut random = Random::new(4100);
     let truth = rig(&mut random);
-    let views = views(&truth, &GOOD, &mut random);
+    let views = views(&truth, &Session::GOOD, &mut random);
     let of_fisheye = |camera: &Camera| {
         let Distortion::BrownConrady5 { coefficients: [k1, k2, p1, p2, _] } = *camera.distortion() else { panic!() };
         let distortion = Distortion::Equidistant { coefficients: [k1, k2, p1, p2] };
@@ -130,7 +112,7 @@ fn lengths_on_fresh_views_tell_the_scale_and_the_wrong_square() {
         let mut random = Random::new(5000 + seed);
         let truth = rig(&mut random);
         let known = calibrated(&truth, &mut random);
-        let fresh = views(&truth, &GOOD, &mut random);
+        let fresh = views(&truth, &Session::GOOD, &mut random);
         let good = check(&known.rig, &fresh, &board()).expect("checked").scale_at(0.5);
         worst = worst.max((good.scale - 1.0).abs());
         let typed = Chessboard::new(9, 6, 0.0255).expect("a board");
@@ -146,7 +128,7 @@ fn lengths_on_fresh_views_tell_the_scale_and_the_wrong_square() {
 fn touched_corners_are_where_the_cameras_say() {
     let mut random = Random::new(91);
     let truth = rig(&mut random);
-    let session_views = views(&truth, &Session { corner_sigma_px: 0.0, ..GOOD }, &mut random);
+    let session_views = views(&truth, &Session { corner_sigma_px: 0.0, ..Session::GOOD }, &mut random);
     // The board is stationary in the room, so each view has its own hand pose.
     let base_from_board = Isometry3::new(Vector3::new(0.5, -0.2, 0.1), Vector3::new(2.8, 0.3, -0.2));
     let corners = [[0, 0], [8, 1], [3, 5]];
@@ -176,7 +158,7 @@ fn board_from_cam_left(rig: &StereoRig, view: &pb3dp_calibration::fit::View<2>) 
 fn squares_that_were_typed_wrong_are_measured_by_the_head() {
     let mut random = Random::new(77);
     let truth = rig(&mut random);
-    let views = views(&truth, &GOOD, &mut random);
+    let views = views(&truth, &Session::GOOD, &mut random);
     let typed = Chessboard::new(9, 6, 0.020).expect("a board");
     let ratio =
         |board: &Chessboard| length_ratio(&truth, views.iter().map(|view| &view.sightings), board).expect("seen");

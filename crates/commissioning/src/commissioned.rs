@@ -179,14 +179,23 @@ impl CommissioningRecord {
         write().with_context(|| format!("{}: cannot be written", path.display()))
     }
 
-    /// Notes that a step was passed.
-    pub fn add(&mut self, step: &str, date: String) {
-        self.steps.insert(step.to_owned(), date);
+    /// Removes the earlier pass of a step from the record and its file. The step may begin only afterwards, so that nothing that interrupts
+    /// it leaves an earlier pass.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn begin(&mut self, step: &str, path: &Path) -> Result<()> {
+        self.steps.remove(step);
+        self.save(path).context("the commissioning record")
     }
 
-    /// Removes a step that begins again.
-    pub fn remove(&mut self, step: &str) {
-        self.steps.remove(step);
+    /// Notes in the record and its file that a step was passed.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn pass(&mut self, step: &str, date: String, path: &Path) -> Result<()> {
+        self.steps.insert(step.to_owned(), date);
+        self.save(path).context("the commissioning record")
     }
 
     /// The record with the measured sources of the signals.
@@ -321,7 +330,7 @@ impl NeededRecord {
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
+mod tests {
     use super::tested::tests::{gateway_settings, setup_settings};
     use super::*;
 
@@ -337,7 +346,7 @@ pub(crate) mod tests {
     }
 
     /// The record of an arm that has passed no step.
-    pub fn empty() -> CommissioningRecord {
+    fn empty() -> CommissioningRecord {
         CommissioningRecord {
             format: FORMAT,
             arm: "vs-robot".to_owned(),
@@ -350,7 +359,7 @@ pub(crate) mod tests {
 
     fn record(passed: &[&str]) -> CommissioningRecord {
         let mut record = empty();
-        passed.iter().for_each(|step| record.add(step, DATE.to_owned()));
+        record.steps.extend(passed.iter().map(|step| ((*step).to_owned(), DATE.to_owned())));
         record
     }
 
@@ -454,5 +463,25 @@ pub(crate) mod tests {
         assert!(format!("{missing:#}").contains("cannot be read"), "{missing:#}");
         record(&STEPS).save(&path).unwrap();
         assert_eq!(CommissioningRecord::load(&path).unwrap(), record(&STEPS));
+    }
+    #[test]
+    fn a_step_that_has_begun_has_no_earlier_pass_on_the_disk() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("vs.json");
+        let passed = |step: &str| CommissioningRecord::load(&path).unwrap().steps.contains_key(step);
+        let mut record = empty().continued(&path).unwrap();
+        assert!(!path.exists(), "nothing has begun");
+        for step in ["comms", "e-stop"] {
+            record.begin(step, &path).unwrap();
+            record.pass(step, DATE.to_owned(), &path).unwrap();
+        }
+        assert!(passed("comms") && passed("e-stop"));
+        // Whatever ends this program now: no later call is needed.
+        let mut again = empty().continued(&path).unwrap();
+        assert!(passed("e-stop"), "it has not begun yet");
+        again.begin("e-stop", &path).unwrap();
+        assert!(passed("comms") && !passed("e-stop"));
+        std::fs::remove_dir_all(folder.path()).unwrap();
+        assert!(again.begin("comms", &path).is_err(), "a step whose pass cannot be removed does not begin");
     }
 }

@@ -69,10 +69,10 @@ pub struct MockArmArgs {
     pub watchdog: Watchdog,
     /// Start pose of the joints, degrees, from the base.
     #[arg(long, value_name = "Q1,..,Q7", default_value = "0,30,0,60,0,45,0", value_parser = parse_pose, allow_hyphen_values = true)]
-    pub pose_deg: PoseDeg,
+    pub pose_deg: [f64; DOF],
     /// Symmetric joint limits in the EEPROM, degrees, from the base; those of a PA10-7C unless given.
     #[arg(long, value_name = "L1,..,L7", value_parser = parse_pose, allow_hyphen_values = true)]
-    pub limits_deg: Option<PoseDeg>,
+    pub limits_deg: Option<[f64; DOF]>,
     /// File of `pb3dp gateway` whose motion limits the emulated gateway uses; those of the built-in setups unless given.
     #[arg(long, value_name = "FILE")]
     pub gateway_limits: Option<std::path::PathBuf>,
@@ -100,10 +100,6 @@ pub struct MockArmArgs {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Watchdog(pub Option<Duration>);
 
-/// Joint angles, degrees, from the base.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PoseDeg(pub [f64; DOF]);
-
 /// Runs the emulated arm until `quit`, a signal or the end of its time.
 ///
 /// # Errors
@@ -127,11 +123,11 @@ fn start(args: &MockArmArgs) -> anyhow::Result<MockServer> {
     let format = args.format.into();
     let mut controller = MockControllerConfig { watchdog: args.watchdog.0, ..MockControllerConfig::new(format) };
     if let Some(limits) = args.limits_deg {
-        controller.upper_limit_rad = JointVector::from(limits.0.map(f64::to_radians));
+        controller.upper_limit_rad = JointVector::from(limits.map(f64::to_radians));
         controller.lower_limit_rad = -controller.upper_limit_rad;
     }
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
-    let pose = JointVector::from(args.pose_deg.0.map(f64::to_radians));
+    let pose = JointVector::from(args.pose_deg.map(f64::to_radians));
     let joints = JointPlant::new(pa10_joints()?, pose, clock.now()).context("--pose-deg")?;
     let joints = Arc::new(Mutex::new(joints));
     let face = face(args, &controller)?;
@@ -214,11 +210,11 @@ fn parse_watchdog(text: &str) -> Result<Watchdog, String> {
     time.map(|time| Watchdog(Some(time))).ok_or_else(|| format!("{text:?} is neither a time such as 6ms nor none"))
 }
 
-fn parse_pose(text: &str) -> Result<PoseDeg, String> {
+fn parse_pose(text: &str) -> Result<[f64; DOF], String> {
     let angles: Option<Vec<f64>> = text.split(',').map(|angle| angle.trim().parse().ok()).collect();
     let angles = angles.and_then(|angles| <[f64; DOF]>::try_from(angles).ok());
     let finite = angles.filter(|angles| angles.iter().all(|angle| angle.is_finite()));
-    finite.map(PoseDeg).ok_or_else(|| format!("{text:?} is not seven angles in degrees, for instance 0,30,0,60,0,45,0"))
+    finite.ok_or_else(|| format!("{text:?} is not seven angles in degrees, for instance 0,30,0,60,0,45,0"))
 }
 
 fn parse_fault(text: &str) -> Result<ScriptLine, String> {

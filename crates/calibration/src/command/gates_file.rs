@@ -6,6 +6,8 @@ use crate::gates::Limits;
 use anyhow::{Context, Result, bail};
 use pb3dp_record::text_file::read_text;
 
+use super::numbers::of_toml;
+
 /// The limits of a file like `configs/calibration_gates.toml`, `hand_eye_gates.toml` or `calibration_verify.toml`: one table with all
 /// gates, each with `good` and `refused`. The built-in limits without a file.
 pub(super) fn read(file: Option<&Path>, built_in: Limits) -> Result<Limits> {
@@ -33,9 +35,7 @@ fn parse(text: &str, built_in: Limits) -> Result<Limits> {
             bail!("unknown key {name}.{key}.{other}; use good and refused");
         }
         let number = |which: &str| {
-            let value = table.get(which);
-            let value = value.and_then(|value| value.as_float().or_else(|| value.as_integer().map(|n| n as f64)));
-            value.with_context(|| format!("{name}.{key}.{which}: must be a number"))
+            table.get(which).and_then(of_toml).with_context(|| format!("{name}.{key}.{which}: must be a number"))
         };
         Ok(limits.with(gate, [number("good")?, number("refused")?])?)
     })

@@ -14,13 +14,11 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use pb3dp_camera_recordings::CalibrationOptions;
 use pb3dp_geometry::{ImageSize, StereoRig};
-use pb3dp_record::calibration_files::{
-    HandEye, JudgedGate, Judgement, ParameterCovariance, StereoCalibration, load_stated, save_hand_eye,
-};
+use pb3dp_record::calibration_files::{HandEye, StereoCalibration, load_stated, save_hand_eye};
 use pb3dp_record::images::StoredImage;
 
 use super::source::StopFiles;
-use super::{exit_code, gates_file, hand_eye_report, images, numbers, poses, report, tell};
+use super::{exit_code, gates_file, hand_eye_report, images, judgement, numbers, poses, report, tell};
 
 /// The recordings, the cameras that made them, and the board.
 #[derive(Debug, Args)]
@@ -248,21 +246,11 @@ fn hand_eye(fit: &HandEyeFit, looked: &DetectedStops, judged: &[Judged], distanc
         measured.push((format!("{what} {}: left_out_deg", stop.name), stop.left_out_deg));
     }
     measured.sort_by(|a, b| a.0.cmp(&b.0));
-    let rows = fit.covariance.row_iter().map(|row| row.iter().copied().collect()).collect();
+    let (stops, used) = (fit.stops.len(), fit.used().count());
+    let source = format!("{stops} stops, {used} of them used; stereo rig: {}", looked.calibration.source);
     let of_head = looked.calibration.judgement.as_ref();
-    let judgement = Judgement {
-        date: looked.date.clone(),
-        tool: concat!("pb3dp-calibrate ", env!("CARGO_PKG_VERSION")).to_owned(),
-        source: format!(
-            "{} stops, {} of them used; stereo rig: {}",
-            fit.stops.len(),
-            fit.used().count(),
-            looked.calibration.source
-        ),
-        cameras: of_head.map(|judgement| judgement.cameras.clone()).unwrap_or_default(),
-        numbers: measured,
-        covariance: Some(ParameterCovariance { names: fit.names.clone(), rows }),
-        gates: judged.iter().map(JudgedGate::from).collect(),
-    };
+    let cameras = of_head.map(|judgement| judgement.cameras.clone()).unwrap_or_default();
+    let about = (looked.date.as_str(), source, cameras);
+    let judgement = judgement::judgement(about, measured, (&fit.names, &fit.covariance), judged);
     HandEye { flange_from_cam_left: fit.flange_from_cam_left(), board: fit.board(), judgement }
 }

@@ -1,7 +1,6 @@
 //! Printed results of a hand-eye calibration.
 
 use crate::hand_eye::{HandEyeFit, RobotSigma};
-use crate::report::poses;
 use nalgebra::Isometry3;
 use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, World};
 use pb3dp_geometry::{Frame, Pose, StereoRig, so3};
@@ -12,7 +11,7 @@ const WORST_STOPS: usize = 3;
 
 /// The poses with the standard deviation of each number, and the stops.
 pub(super) fn fit(fit: &HandEyeFit, robot: RobotSigma) -> String {
-    let mut lines: Vec<String> = poses(fit).iter().map(|(name, at)| pose(fit, name, at)).collect();
+    let mut lines: Vec<String> = fit.poses().iter().map(|(name, at)| pose(fit, name, at)).collect();
     lines.push(format!(
         "+- is one standard deviation, from {:.3} px per corner and an arm noise of {:.2} times the stated {} mm and {} degrees",
         fit.corner_sigma_px,

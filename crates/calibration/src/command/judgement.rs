@@ -7,6 +7,7 @@ use crate::gates::Judged;
 use crate::held_out::Chosen;
 use crate::quality::Quality;
 use anyhow::Result;
+use nalgebra::DMatrix;
 use pb3dp_record::calibration_files::{
     CAMERAS_FILE, CameraIdentity, JudgedGate, Judgement, ParameterCovariance, load_cameras,
 };
@@ -49,15 +50,26 @@ pub(super) fn of(
     numbers.extend(by_camera.map(|(side, rms_px)| (format!("reprojection_rms_{side}_px"), *rms_px)));
     let by_view = &quality.reprojection_rms_by_view_px;
     numbers.extend(by_view.iter().map(|(view, rms_px)| (format!("view {view}: reprojection_rms_px"), *rms_px)));
+    let source = format!("{} views of {}, lens model {}", quality.views, chosen.fit.board().kind(), chosen.fit.lens());
     let covariance = chosen.fit.covariance().of_cameras();
-    let rows = covariance.matrix.row_iter().map(|row| row.iter().copied().collect()).collect();
+    judgement((newest, source, cameras), numbers, (&covariance.names, &covariance.matrix), judged)
+}
+
+/// The quality data of a calibration from its date, source and cameras.
+pub(super) fn judgement(
+    (date, source, cameras): (&str, String, [CameraIdentity; 2]),
+    numbers: Vec<(String, f64)>,
+    (names, covariance): (&[String], &DMatrix<f64>),
+    judged: &[Judged],
+) -> Judgement {
+    let rows = covariance.row_iter().map(|row| row.iter().copied().collect()).collect();
     Judgement {
-        date: newest.to_owned(),
+        date: date.to_owned(),
         tool: concat!("pb3dp-calibrate ", env!("CARGO_PKG_VERSION")).to_owned(),
-        source: format!("{} views of {}, lens model {}", quality.views, chosen.fit.board().kind(), chosen.fit.lens()),
+        source,
         cameras,
         numbers,
-        covariance: Some(ParameterCovariance { names: covariance.names.clone(), rows }),
+        covariance: Some(ParameterCovariance { names: names.to_vec(), rows }),
         gates: judged.iter().map(JudgedGate::from).collect(),
     }
 }

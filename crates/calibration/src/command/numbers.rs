@@ -7,10 +7,7 @@ use super::LensChoice;
 
 /// `9x6`.
 pub(super) fn corners(text: &str) -> Result<[u32; 2], String> {
-    let wrong = || format!("{text:?} is not COLUMNSxROWS; example: 9x6");
-    let (columns, rows) = text.split_once(['x', 'X']).ok_or_else(wrong)?;
-    let number = |text: &str| text.trim().parse::<u32>().map_err(|_| wrong());
-    Ok([number(columns)?, number(rows)?])
+    two(text, &['x', 'X']).ok_or_else(|| format!("{text:?} is not COLUMNSxROWS; example: 9x6"))
 }
 
 /// A length in millimetres.
@@ -42,8 +39,21 @@ pub(super) fn lens(text: &str) -> Result<LensChoice, String> {
 
 /// `8,0`: a corner of the board.
 pub(super) fn corner(text: &str) -> Result<[u32; 2], String> {
-    let wrong = || format!("{text:?} is not COLUMN,ROW; example: 8,0");
-    let (column, row) = text.split_once(',').ok_or_else(wrong)?;
-    let number = |text: &str| text.trim().parse::<u32>().map_err(|_| wrong());
-    Ok([number(column)?, number(row)?])
+    two(text, &[',']).ok_or_else(|| format!("{text:?} is not COLUMN,ROW; example: 8,0"))
+}
+
+fn two(text: &str, separators: &[char]) -> Option<[u32; 2]> {
+    let (first, second) = text.split_once(separators)?;
+    Some([first.trim().parse().ok()?, second.trim().parse().ok()?])
+}
+
+/// A number in a TOML file.
+pub(super) fn of_toml(value: &toml::Value) -> Option<f64> {
+    value.as_float().or_else(|| value.as_integer().map(|whole| whole as f64))
+}
+
+/// A list of this many finite numbers in a TOML file.
+pub(super) fn list_of_toml<const N: usize>(value: Option<&toml::Value>) -> Option<[f64; N]> {
+    let numbers = value?.as_array()?.iter().map(|value| of_toml(value).filter(|number| number.is_finite()));
+    numbers.collect::<Option<Vec<_>>>()?.try_into().ok()
 }

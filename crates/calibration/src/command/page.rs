@@ -5,12 +5,13 @@ use std::path::Path;
 use crate::fit::CornerError;
 use crate::held_out::Chosen;
 use crate::quality::Quality;
+use crate::report::vectors;
 use anyhow::Result;
 use image::RgbImage;
 use image::imageops::FilterType;
 use pb3dp_record::images::load_rgb;
 use pb3dp_record::overlay::{Stroke, arrow, colors, cross, side_by_side};
-use pb3dp_record::report::{ImagePlot, Report, ReportImage, VectorAt};
+use pb3dp_record::report::{ImagePlot, Report, ReportImage};
 
 use super::DetectedBoards;
 
@@ -27,17 +28,10 @@ pub(super) fn write<const N: usize>(
     detected: &DetectedBoards<N>,
     file: &Path,
 ) -> Result<String> {
-    let mut views: Vec<(usize, &(String, f64))> = quality.reprojection_rms_by_view_px.iter().enumerate().collect();
-    views.sort_by(|a, b| b.1.1.total_cmp(&a.1.1));
     let mut strip = Vec::new();
-    for (index, (name, rms_px)) in views.into_iter().take(WORST_VIEWS) {
+    for (index, name, rms_px) in quality.views_by_error().into_iter().take(WORST_VIEWS) {
         let (Some(files), Some(errors)) = (detected.files.get(index), chosen.fit.errors().get(index)) else { continue };
-        let all: Vec<VectorAt> = errors
-            .iter()
-            .flatten()
-            .map(|error| VectorAt { at_px: error.corner.pixel.into(), vector_px: error.error_px.into() })
-            .collect();
-        let magnified = ImagePlot::magnification(&all, detected.size.width);
+        let magnified = ImagePlot::magnification(&vectors(errors.iter().flatten()), detected.size.width);
         let mut images = Vec::with_capacity(N);
         for (file, errors) in files.iter().zip(errors) {
             images.push(image(file, errors, magnified)?);

@@ -8,6 +8,8 @@ use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, World};
 use pb3dp_geometry::{Frame, Pose, so3};
 use pb3dp_setup::layers::{Layers, SetupArgs};
 
+use super::numbers::list_of_toml;
+
 /// Six numbers: x, y, z in mm, and a rotation vector in degrees.
 pub(super) fn six(text: &str) -> Result<[f64; 6], String> {
     let wrong = || format!("{text:?} is not six numbers X,Y,Z,RX,RY,RZ (mm, and a rotation vector in degrees)");
@@ -55,16 +57,10 @@ impl Setup {
             table = table.and_then(|table| table.get(*key)).and_then(toml::Value::as_table);
         }
         let value = table.and_then(|table| table.get(*last)).with_context(|| format!("{}: missing", place()))?;
-        let three = |key: &str| {
-            let list = value.get(key).and_then(toml::Value::as_array)?;
-            let number = |value: &toml::Value| value.as_float().or_else(|| value.as_integer().map(|n| n as f64));
-            let numbers = list.iter().map(number).collect::<Option<Vec<_>>>()?;
-            <[f64; 3]>::try_from(numbers).ok()
-        };
         let wrong =
             || format!("{}: must be {{ translation_mm = [x, y, z], rotation_vector_deg = [x, y, z] }}", place());
-        let [x, y, z] = three("translation_mm").with_context(wrong)?;
-        let [rx, ry, rz] = three("rotation_vector_deg").with_context(wrong)?;
+        let [x, y, z] = list_of_toml(value.get("translation_mm")).with_context(wrong)?;
+        let [rx, ry, rz] = list_of_toml(value.get("rotation_vector_deg")).with_context(wrong)?;
         Ok(pose([x, y, z, rx, ry, rz]))
     }
 }

@@ -80,9 +80,8 @@ pub(super) fn of_cameras(quality: &Quality, judged: &[Judged]) -> String {
         ));
     }
     lines.extend(defects(quality));
-    let mut views: Vec<_> = quality.reprojection_rms_by_view_px.iter().collect();
-    views.sort_by(|a, b| b.1.total_cmp(&a.1));
-    let worst = views.iter().take(WORST_VIEWS).map(|(name, rms_px)| format!("{name:?} {rms_px:.3}"));
+    let worst =
+        quality.views_by_error().into_iter().take(WORST_VIEWS).map(|(_, name, rms_px)| format!("{name:?} {rms_px:.3}"));
     lines.push(format!("views with the largest errors, px rms: {}", worst.collect::<Vec<_>>().join(", ")));
     lines.push(gates(judged));
     if quality.scale_error_share.is_none() {

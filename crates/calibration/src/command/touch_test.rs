@@ -10,6 +10,7 @@ use pb3dp_record::calibration_files::load_hand_eye;
 use pb3dp_record::text_file::read_text;
 
 use super::DetectedBoards;
+use super::numbers::list_of_toml;
 
 /// Fewer points cannot distinguish a rotated hand from a shifted one.
 const PLACES_MIN: usize = 3;
@@ -53,21 +54,14 @@ fn touch(number: usize, place: &toml::Value) -> Result<Touch> {
     if let Some(key) = table.keys().find(|key| !known.contains(&key.as_str())) {
         bail!("unknown key touch[{number}].{key}; use {}", known.join(", "));
     }
-    let [column, row] = numbers::<2>(table, number, "board_corner")?;
-    let [x, y, z] = numbers::<3>(table, number, "base_position_mm")?;
+    let wrong = |key: &str, count: usize| format!("touch[{number}].{key}: must be {count} numbers");
+    let [column, row] = list_of_toml(table.get("board_corner")).with_context(|| wrong("board_corner", 2))?;
+    let [x, y, z] = list_of_toml(table.get("base_position_mm")).with_context(|| wrong("base_position_mm", 3))?;
     let is_place = |value: f64| value.fract() == 0.0 && (0.0..100.0).contains(&value);
     if !is_place(column) || !is_place(row) {
         bail!("touch[{number}].board_corner is [{column}, {row}]; must be column and row of a corner, counted from 0");
     }
     Ok(Touch { board_corner: [column as u32, row as u32], in_base_m: Point3::new(x, y, z) * 1e-3 })
-}
-
-fn numbers<const N: usize>(table: &toml::Table, number: usize, key: &str) -> Result<[f64; N]> {
-    let list = table.get(key).and_then(toml::Value::as_array).into_iter().flatten();
-    let numbers = list.map(|value| value.as_float().or_else(|| value.as_integer().map(|whole| whole as f64)));
-    let numbers: Option<Vec<f64>> = numbers.map(|value| value.filter(|value| value.is_finite())).collect();
-    let numbers = numbers.and_then(|numbers| <[f64; N]>::try_from(numbers).ok());
-    numbers.with_context(|| format!("touch[{number}].{key}: must be {N} numbers"))
 }
 
 /// The result of each point.

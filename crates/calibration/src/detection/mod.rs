@@ -96,7 +96,7 @@ impl Localizer {
 /// Detects a board of any type in an image. Chessboards must be completely visible; boards with markers may be partly visible.
 ///
 /// # Errors
-/// As [`find_chessboard`]; for boards with markers, no readable marker or too few corners.
+/// No grid, a grid whose size differs from the board, or a grid with gaps; for boards with markers, no readable marker or too few corners.
 pub fn find_board(image: &GrayImage, board: &Board) -> Result<Sighting, NoBoard> {
     find_board_by(image, board, Localizer::default())
 }
@@ -110,7 +110,7 @@ pub fn find_board_by(image: &GrayImage, board: &Board, localizer: Localizer) -> 
         return Err(NoBoard::None);
     }
     match *board.pattern() {
-        Pattern::Chessboard { .. } => find_chessboard_by(image, board, localizer),
+        Pattern::Chessboard { .. } => find_chessboard(image, board, localizer),
         Pattern::Charuco { square_m, marker_m, markers } => {
             charuco::find(image, board, (marker_m / square_m, markers), localizer)
         }
@@ -139,7 +139,7 @@ fn enough(corners: Vec<BoardCorner>, board: &Board) -> Result<Sighting, NoBoard>
     Ok(sighting)
 }
 
-/// Detects a chessboard in an image.
+/// Detects a chessboard in an image that is large enough.
 ///
 /// If the square colours make the orientation unique, corner (0, 0) is the one whose square towards (1, 1) is dark. For other
 /// boards it is one of the corners from which rows run to the right or columns downwards, and [`agree`] makes two images use the
@@ -147,15 +147,7 @@ fn enough(corners: Vec<BoardCorner>, board: &Board) -> Result<Sighting, NoBoard>
 ///
 /// # Errors
 /// No grid, a grid whose size differs from the board, or a grid with gaps.
-pub fn find_chessboard(image: &GrayImage, board: &Chessboard) -> Result<Sighting, NoBoard> {
-    if image.width().min(image.height()) < SIDE_MIN_PX {
-        return Err(NoBoard::None);
-    }
-    find_chessboard_by(image, board, Localizer::default())
-}
-
-/// As [`find_chessboard`], in an image that is large enough.
-fn find_chessboard_by(image: &GrayImage, board: &Chessboard, localizer: Localizer) -> Result<Sighting, NoBoard> {
+fn find_chessboard(image: &GrayImage, board: &Chessboard, localizer: Localizer) -> Result<Sighting, NoBoard> {
     let corners = detect_corners(&gray_view(image), &localizer.detector());
     let grids = ChessboardParams::sweep_default().into_iter().filter_map(|params| {
         // The parameters are the library defaults, which it does not refuse.
@@ -282,7 +274,7 @@ mod tests {
     #[test]
     fn corners_are_found_where_they_were_drawn() {
         let board = Chessboard::new(5, 4, 0.02).expect("a board");
-        let sighting = find_chessboard(&drawn(24, true), &board).expect("seen");
+        let sighting = find_board(&drawn(24, true), &board).expect("seen");
         assert_eq!(sighting.corners().len(), 20);
         for corner in sighting.corners() {
             // Edges lie between pixels: half a pixel before the first pixel of the next square.
@@ -297,7 +289,7 @@ mod tests {
         let board = Chessboard::new(5, 4, 0.02).expect("a board");
         for image in [drawn(24, true), drawn(24, false)] {
             for image in [image.clone(), image::imageops::rotate180(&image), image::imageops::rotate90(&image)] {
-                let sighting = find_chessboard(&image, &board).expect("seen");
+                let sighting = find_board(&image, &board).expect("seen");
                 assert!(first_square_is_dark(&image, &sighting));
                 // x to the right and y down have a positive cross product: z points into the image.
                 let [o, x, y] = [(0, 0), (4, 0), (0, 3)].map(|(c, r)| sighting.at(c, r).expect("seen").pixel);
@@ -309,19 +301,15 @@ mod tests {
     #[test]
     fn another_board_is_recognised_by_its_numbers() {
         let board = Chessboard::new(9, 6, 0.02).expect("a board");
-        let refusal = find_chessboard(&drawn(24, true), &board).expect_err("another board");
+        let refusal = find_board(&drawn(24, true), &board).expect_err("another board");
         assert_eq!(refusal, NoBoard::Size { covered_columns: 5, covered_rows: 4, columns: 9, rows: 6 });
         // A smaller board fits into a larger one at several positions.
         let smaller = Chessboard::new(4, 3, 0.02).expect("a board");
-        let refusal = find_chessboard(&drawn(24, true), &smaller).expect_err("a larger board");
+        let refusal = find_board(&drawn(24, true), &smaller).expect_err("a larger board");
         assert_eq!(refusal, NoBoard::Size { covered_columns: 5, covered_rows: 4, columns: 4, rows: 3 });
-        assert_eq!(find_chessboard(&GrayImage::new(320, 240), &board), Err(NoBoard::None));
+        assert_eq!(find_board(&GrayImage::new(320, 240), &board), Err(NoBoard::None));
         for (width, height) in [(0, 0), (1, 1), (32, 32), (4, 2000)] {
-            assert_eq!(
-                find_chessboard(&GrayImage::new(width, height), &board),
-                Err(NoBoard::None),
-                "{width} x {height}"
-            );
+            assert_eq!(find_board(&GrayImage::new(width, height), &board), Err(NoBoard::None), "{width} x {height}");
         }
     }
 

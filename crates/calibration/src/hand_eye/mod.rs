@@ -357,6 +357,11 @@ impl HandEyeFit {
         }
     }
 
+    /// All estimated poses by name: that of the cameras, then those of the board.
+    pub fn poses(&self) -> Vec<(&'static str, Isometry3<f64>)> {
+        self.state.poses()
+    }
+
     /// Standard deviation of a parameter, metres or radians.
     pub fn sigma(&self, name: &str) -> Option<f64> {
         let index = self.names.iter().position(|other| other == name)?;

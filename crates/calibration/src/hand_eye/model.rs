@@ -8,7 +8,7 @@
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix6, Point3, SMatrix, SVector, Vector2, Vector3, Vector6};
 use pb3dp_geometry::{Camera, StereoRig, se3};
 
-use crate::adjust::point_by_motion;
+use crate::adjust::{POSE_NUMBERS, point_by_motion};
 use crate::board::{Chessboard, Sighting};
 
 /// Number of pose parameters.
@@ -115,15 +115,24 @@ impl State {
         self.place.shared_pose_numbers() + if setting.scales_free { SCALES } else { 0 }
     }
 
+    /// The poses shared by all stops by name, in the order of their parameters.
+    pub(super) fn poses(&self) -> Vec<(&'static str, Isometry3<f64>)> {
+        let mut poses = vec![("flange_from_cam_left", self.flange_from_cam)];
+        match self.place {
+            BoardMount::Room { base_from_board } => poses.push(("base_from_board", base_from_board)),
+            BoardMount::Carried { vs_base_from_tc_base, tc_flange_from_board } => poses.extend([
+                ("vs_base_from_tc_base", vs_base_from_tc_base),
+                ("tc_flange_from_board", tc_flange_from_board),
+            ]),
+        }
+        poses
+    }
+
     /// Names of the shared parameters, in order.
     pub(super) fn shared_names(&self, setting: &Setting<'_>) -> Vec<String> {
-        let poses: &[&str] = match self.place {
-            BoardMount::Room { .. } => &["flange_from_cam_left", "base_from_board"],
-            BoardMount::Carried { .. } => &["flange_from_cam_left", "vs_base_from_tc_base", "tc_flange_from_board"],
-        };
-        let numbers = ["x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"];
+        let poses = self.poses().into_iter();
         let mut names: Vec<String> =
-            poses.iter().flat_map(|pose| numbers.map(|number| format!("{pose}.{number}"))).collect();
+            poses.flat_map(|(pose, _)| POSE_NUMBERS.map(|number| format!("{pose}.{number}"))).collect();
         if setting.scales_free {
             names.extend(["scale.squares", "scale.baseline"].map(str::to_owned));
         }

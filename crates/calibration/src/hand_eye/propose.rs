@@ -9,7 +9,7 @@ use pb3dp_geometry::frames::{Board, CamLeft};
 use pb3dp_geometry::{Camera, Pinhole, Pose, StereoRig, so3};
 
 use crate::board::{Chessboard, Sighting};
-use crate::stand::{CELLS, cell_of};
+use crate::stand::{Cells, cell_of};
 use crate::start::board_pose;
 
 /// Candidate distances, as shares of the requested one.
@@ -75,7 +75,7 @@ pub enum ProposeError {
 struct Candidate {
     cam_from_board: Isometry3<f64>,
     /// Cells of both images that contain corners.
-    cells: Vec<usize>,
+    cells: [Cells; 2],
 }
 
 /// Selects views of a board, starting from one view of it.
@@ -100,14 +100,9 @@ pub fn propose(
         let distance_mm = request.distance_m * 1e3;
         return Err(ProposeError::TooFew { found: chosen.len(), wanted: request.count, distance_mm });
     }
-    let mut covered: Vec<usize> = chosen.iter().flat_map(|index| candidates[*index].cells.iter().copied()).collect();
-    covered.sort_unstable();
-    covered.dedup();
-    let cells = CELLS[0] * CELLS[1];
-    let share = |of_side: &dyn Fn(&usize) -> bool| {
-        covered.iter().filter(|cell| of_side(cell)).count() as f64 / f64::from(cells)
-    };
-    let coverage = [share(&|index| *index < cells as usize), share(&|index| *index >= cells as usize)];
+    let covered =
+        |side: usize| chosen.iter().map(|index| candidates[*index].cells[side]).fold(Cells::default(), Cells::with);
+    let coverage = [0, 1].map(|side| covered(side).share());
     let poses = chosen.iter().map(|index| candidates[*index].cam_from_board).collect();
     // Board poses in the left camera frame.
     let cam_left_from_board = tour(first, poses).into_iter().map(Pose::from_isometry).collect();
@@ -233,37 +228,31 @@ fn poses(rig: &StereoRig, board: &Chessboard, distance_m: f64) -> Vec<Isometry3<
 }
 
 fn candidate(rig: &StereoRig, board: &Chessboard, cam_from_board: Isometry3<f64>) -> Option<Candidate> {
-    let mut cells = Vec::new();
-    let per_image = (CELLS[0] * CELLS[1]) as usize;
     let right = rig.cam_right_from_cam_left().isometry() * cam_from_board;
-    for (side, (camera, pose)) in [(rig.left(), cam_from_board), (rig.right(), right)].into_iter().enumerate() {
-        for (row, column) in (0..board.rows()).flat_map(|row| (0..board.columns()).map(move |column| (row, column))) {
-            let pixel = camera.project(&(pose * board.corner_in_board(column, row)))?;
-            let [across, down] = cell_of(&pixel, camera.size());
-            cells.push(side * per_image + (down * CELLS[0] + across) as usize);
-        }
-    }
-    cells.sort_unstable();
-    cells.dedup();
+    let cells = |camera: &Camera, pose: &Isometry3<f64>| -> Option<Cells> {
+        let places = (0..board.rows()).flat_map(|row| (0..board.columns()).map(move |column| (column, row)));
+        let pixels = places.map(|(column, row)| camera.project(&(pose * board.corner_in_board(column, row))));
+        pixels.map(|pixel| Some(cell_of(&pixel?, camera.size()))).collect()
+    };
+    let cells = [cells(rig.left(), &cam_from_board)?, cells(rig.right(), &right)?];
     Some(Candidate { cam_from_board, cells })
 }
 
 /// Greedy selection by new image cells and new orientations.
 fn choose(candidates: &[Candidate], count: usize) -> Vec<usize> {
-    let cells = 2 * (CELLS[0] * CELLS[1]) as usize;
-    let mut covered = vec![false; cells];
+    let mut covered = [Cells::default(); 2];
     let mut nearest = vec![f64::INFINITY; candidates.len()];
     let mut chosen: Vec<usize> = Vec::new();
     while chosen.len() < count.min(candidates.len()) {
         let worth = |index: usize| {
-            let new = candidates[index].cells.iter().filter(|cell| !covered[**cell]).count() as f64;
+            let new: u32 = candidates[index].cells.iter().zip(covered).map(|(own, all)| own.without(all).count()).sum();
             let orientation = (nearest[index] / NEW_ORIENTATION_RAD).min(1.0);
-            new + NEW_ORIENTATION_CELLS * orientation
+            f64::from(new) + NEW_ORIENTATION_CELLS * orientation
         };
         let left = (0..candidates.len()).filter(|index| !chosen.contains(index));
         let Some(best) = left.max_by(|a, b| worth(*a).total_cmp(&worth(*b))) else { break };
-        for cell in &candidates[best].cells {
-            covered[*cell] = true;
+        for (covered, own) in covered.iter_mut().zip(candidates[best].cells) {
+            *covered = covered.with(own);
         }
         for (nearest, candidate) in nearest.iter_mut().zip(candidates) {
             let rotation = candidate.cam_from_board.rotation;

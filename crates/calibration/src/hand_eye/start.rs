@@ -74,7 +74,12 @@ pub(super) fn rotation_spread_deg(flanges: &[Isometry3<f64>]) -> f64 {
             count += 1.0;
         }
     }
-    let mut squares: Vec<f64> = (sum / count.max(1.0)).symmetric_eigenvalues().iter().copied().collect();
+    second_axis_deg(sum / count.max(1.0))
+}
+
+/// Root mean square of rotations about their second axis, degrees, from the mean of the squared rotation vectors.
+fn second_axis_deg(mean_square: Matrix3<f64>) -> f64 {
+    let mut squares: Vec<f64> = mean_square.symmetric_eigenvalues().iter().copied().collect();
     squares.sort_by(|a, b| b.total_cmp(a));
     squares.get(1).copied().unwrap_or(0.0).max(0.0).sqrt().to_degrees()
 }
@@ -122,7 +127,8 @@ fn consensus(pairs: &[Motions], arm: &'static str, carried: bool) -> Result<Isom
             HandEyeError::Axes { arm, second_deg: 0.0 }
         });
     }
-    let second_deg = second_axis_deg(pairs);
+    let sum: Matrix3<f64> = pairs.iter().map(|pair| pair.alpha * pair.alpha.transpose()).sum();
+    let second_deg = second_axis_deg(sum / pairs.len() as f64);
     let axes = || HandEyeError::Axes { arm, second_deg };
     if second_deg < SECOND_AXIS_MIN_DEG {
         return Err(axes());
@@ -142,13 +148,6 @@ fn consensus(pairs: &[Motions], arm: &'static str, carried: bool) -> Result<Isom
         Some(refined) if score(&refined) <= best => Ok(refined),
         _ => Ok(x),
     }
-}
-
-fn second_axis_deg(pairs: &[Motions]) -> f64 {
-    let sum: Matrix3<f64> = pairs.iter().map(|pair| pair.alpha * pair.alpha.transpose()).sum();
-    let mut squares: Vec<f64> = (sum / pairs.len() as f64).symmetric_eigenvalues().iter().copied().collect();
-    squares.sort_by(|a, b| b.total_cmp(a));
-    squares.get(1).copied().unwrap_or(0.0).max(0.0).sqrt().to_degrees()
 }
 
 /// `X` of `A X = X B` by least squares; `None` if the axes are parallel.

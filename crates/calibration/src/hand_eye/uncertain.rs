@@ -1,12 +1,12 @@
 //! Covariance from errors shared by several stops: errors of the stereo calibration, and of an arm that is stationary.
 
-use nalgebra::{DMatrix, DVector, Isometry3, Point3, Vector2, Vector6};
+use nalgebra::{DMatrix, DVector, Point3, Vector2, Vector6};
 use pb3dp_geometry::{StereoRig, se3};
 use pb3dp_record::calibration_files::ParameterCovariance;
 
 use super::HandEyeError;
 use super::adjust::adjust;
-use super::model::{BoardMount, POSE, Setting, State, StopObservation};
+use super::model::{POSE, Setting, State, StopObservation};
 use crate::adjust as head;
 use crate::depth::triangulated;
 use crate::fit::sides;
@@ -26,7 +26,7 @@ impl CalibrationCovariance {
     /// # Errors
     /// Parameters other than those of a stereo rig.
     pub fn new(rig: &StereoRig, covariance: &ParameterCovariance) -> Result<Self, HandEyeError> {
-        let names_of = |lens: LensModel| head_of(rig, lens).shared_names(&sides::<2>());
+        let names_of = |lens: LensModel| head::State::of_rig(rig, lens).shared_names(&sides::<2>());
         let lens = LensModel::ALL.into_iter().find(|lens| names_of(*lens) == covariance.names);
         let lens = lens.ok_or_else(|| HandEyeError::RigCovariance {
             found: covariance.names.join(", "),
@@ -36,12 +36,6 @@ impl CalibrationCovariance {
         let matrix = DMatrix::from_row_iterator(count, count, covariance.rows.iter().flatten().copied());
         Ok(Self { lens, matrix })
     }
-}
-
-/// The stereo rig as a state of the camera adjustment.
-fn head_of(rig: &StereoRig, lens: LensModel) -> head::State {
-    let from_first = vec![Isometry3::identity(), *rig.cam_right_from_cam_left().isometry()];
-    head::State { lens, cameras: vec![*rig.left(), *rig.right()], from_first, boards: Vec::new(), shape: None }
 }
 
 /// One uncertain direction of the stereo rig: the results with the rig perturbed by one standard deviation to either side.
@@ -74,7 +68,7 @@ pub(super) fn directions(
     setting: &Setting<'_>,
     covariance: &CalibrationCovariance,
 ) -> Result<Vec<Direction>, HandEyeError> {
-    let head = head_of(setting.rig, covariance.lens);
+    let head = head::State::of_rig(setting.rig, covariance.lens);
     // The parameters have different units: they are scaled to standard deviations, so that small values are not truncated to
     // zero.
     let sigma = covariance.matrix.diagonal().map(|variance| variance.max(0.0).sqrt());
@@ -134,16 +128,9 @@ pub(super) fn rest_directions(
 
 /// The difference between the shared poses of two states.
 fn difference(from: &State, to: &State) -> DVector<f64> {
-    let poses = |state: &State| match state.place {
-        BoardMount::Room { base_from_board } => vec![state.flange_from_cam, base_from_board],
-        BoardMount::Carried { vs_base_from_tc_base, tc_flange_from_board } => {
-            vec![state.flange_from_cam, vs_base_from_tc_base, tc_flange_from_board]
-        }
-    };
-    let steps: Vec<f64> = poses(from)
-        .iter()
-        .zip(poses(to))
-        .flat_map(|(from, to)| se3::log(&(from.inverse() * to)).iter().copied().collect::<Vec<_>>())
+    let poses = from.poses().into_iter().zip(to.poses());
+    let steps: Vec<f64> = poses
+        .flat_map(|((_, from), (_, to))| se3::log(&(from.inverse() * to)).iter().copied().collect::<Vec<_>>())
         .collect();
     DVector::from_vec(steps)
 }

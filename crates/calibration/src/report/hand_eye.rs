@@ -1,11 +1,10 @@
 //! The report of a hand-eye calibration.
 
-use nalgebra::Isometry3;
 use pb3dp_geometry::so3;
-use pb3dp_record::calibration_files::BoardPlace;
 use pb3dp_record::report::{Bars, Report, Table};
 
 use super::{add_gates, parameters, with_limits};
+use crate::adjust::POSE_NUMBERS;
 use crate::gates::{Gate, Judged};
 use crate::hand_eye::gates::{CORNERS, LEFT_OUT_ANGLE, LEFT_OUT_DISTANCE};
 use crate::hand_eye::{HandEyeFit, Scale, StopCheck};
@@ -45,24 +44,11 @@ fn by_stop(fit: &HandEyeFit, title: &str, decimals: usize, of: &dyn Fn(&StopChec
     })
 }
 
-/// The estimated poses by name.
-pub(crate) fn poses(fit: &HandEyeFit) -> Vec<(&'static str, Isometry3<f64>)> {
-    let cameras = ("flange_from_cam_left", *fit.flange_from_cam_left().isometry());
-    match fit.board() {
-        BoardPlace::Room { base_from_board } => vec![cameras, ("base_from_board", *base_from_board.isometry())],
-        BoardPlace::Carried { vs_base_from_tc_base, tc_flange_from_board } => vec![
-            cameras,
-            ("vs_base_from_tc_base", *vs_base_from_tc_base.isometry()),
-            ("tc_flange_from_board", *tc_flange_from_board.isometry()),
-        ],
-    }
-}
-
 fn of_poses(fit: &HandEyeFit) -> Table {
-    let numbers = poses(fit).into_iter().flat_map(|(name, pose)| {
+    let numbers = fit.poses().into_iter().flat_map(|(name, pose)| {
         let (shift, turn) = (pose.translation.vector, so3::log(&pose.rotation));
         let values = [shift.x, shift.y, shift.z, turn.x, turn.y, turn.z];
-        ["x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"].into_iter().zip(values).map(move |(key, value)| {
+        POSE_NUMBERS.into_iter().zip(values).map(move |(key, value)| {
             let name = format!("{name}.{key}");
             let sigma = fit.sigma(&name);
             (name, value, sigma)

@@ -7,6 +7,7 @@ use nalgebra::{DMatrix, DVector, Vector2, Vector6};
 use pb3dp_geometry::{Camera, StereoRig, se3};
 
 use super::triangulate;
+use crate::adjust::POSE_NUMBERS;
 use crate::stand::CELLS;
 
 /// A calibration with its covariance.
@@ -104,14 +105,15 @@ fn mahalanobis(differences: &[Difference], joint: &DMatrix<f64>) -> Option<f64> 
     Some((square / differences.len() as f64).sqrt())
 }
 
-/// Names of the pose parameters, in the order of [`se3`].
-const POSE: [&str; 6] = ["x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"];
-
 /// `log(second * first^-1)` of the pose between the cameras, by name.
 fn motion(first: &StereoRig, second: &StereoRig) -> Vec<(String, f64)> {
     let [first, second] = [first, second].map(|rig| *rig.cam_right_from_cam_left().isometry());
     let xi: Vector6<f64> = se3::log(&(second * first.inverse()));
-    POSE.iter().zip(xi.iter()).map(|(name, value)| (format!("cam_right_from_cam_left.{name}"), *value)).collect()
+    POSE_NUMBERS
+        .iter()
+        .zip(xi.iter())
+        .map(|(name, value)| (format!("cam_right_from_cam_left.{name}"), *value))
+        .collect()
 }
 
 /// Camera parameters by name.

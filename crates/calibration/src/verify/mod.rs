@@ -7,13 +7,12 @@ pub mod lens;
 pub mod limits;
 pub mod touch;
 
-use nalgebra::{Isometry3, Matrix3, Point3, Vector2, Vector3};
+use nalgebra::{Matrix3, Point3, Vector2, Vector3};
 use pb3dp_geometry::{RectificationError, StereoRig};
 
 use self::against::Known;
 use crate::adjust::{AdjustmentError, Observations, State, adjust};
 use crate::board::{Chessboard, Sighting};
-use crate::depth::meeting;
 use crate::fit::{View, sides};
 use crate::lens::LensModel;
 use crate::quality::{RowError, row_error};
@@ -145,14 +144,8 @@ impl Checked {
 fn pose_errors(rig: &StereoRig, view: &View<2>, board: &Chessboard) -> Result<(f64, usize), AdjustmentError> {
     let unplaced = || AdjustmentError::Undetermined { parameter: "the pose of the board".to_owned() };
     let observations = Observations { board, views: vec![view.sightings.iter().collect()] };
-    let start = State {
-        // Not used if the cameras are fixed.
-        lens: LensModel::Radial1,
-        cameras: vec![*rig.left(), *rig.right()],
-        from_first: vec![Isometry3::identity(), *rig.cam_right_from_cam_left().isometry()],
-        boards: vec![board_pose(rig.left(), &view.sightings[0], board).ok_or_else(unplaced)?],
-        shape: None,
-    };
+    let boards = vec![board_pose(rig.left(), &view.sightings[0], board).ok_or_else(unplaced)?];
+    let start = State { boards, ..State::of_rig(rig, LensModel::Radial1) };
     let state = adjust(start, &observations, true)?;
     let mut squares = (0.0, 0);
     for camera in 0..2 {
@@ -166,23 +159,15 @@ fn pose_errors(rig: &StereoRig, view: &View<2>, board: &Chessboard) -> Result<(f
 /// Standard deviation of the depth of a point straight ahead according to the covariance of a calibration, metres; `None` if the
 /// covariance is incomplete.
 pub fn depth_sigma_m(known: &Known, depth_m: f64) -> Option<f64> {
-    let cameras = vec![*known.rig.left(), *known.rig.right()];
-    let from_first = vec![Isometry3::identity(), *known.rig.cam_right_from_cam_left().isometry()];
-    let state = |lens| {
-        let (cameras, from_first) = (cameras.clone(), from_first.clone());
-        State { lens, cameras, from_first, boards: Vec::new(), shape: None }
-    };
     let is_it = |state: &State| state.shared_names(&sides::<2>()) == known.names;
-    let state = LensModel::ALL.into_iter().map(state).find(is_it)?;
+    let state = LensModel::ALL.into_iter().map(|lens| State::of_rig(&known.rig, lens)).find(is_it)?;
     crate::depth::sigma_m(&state, &known.covariance, depth_m).ok()
 }
 
 /// The point in `cam_left` triangulated from two pixels, metres: the midpoint between the rays. `None` outside the valid range of
 /// a lens model.
 pub fn triangulate(rig: &StereoRig, left_px: &Vector2<f64>, right_px: &Vector2<f64>) -> Option<Point3<f64>> {
-    let (a, b) = (rig.left().unproject(left_px).ok()?, rig.right().unproject(right_px).ok()?);
-    let cam_left_from_cam_right = rig.cam_right_from_cam_left().inverse();
-    let point = meeting(&a, &cam_left_from_cam_right.transform_vector(&b), &cam_left_from_cam_right.translation_m());
+    let point = crate::depth::triangulated(rig, left_px, right_px)?;
     point.iter().all(|value| value.is_finite()).then(|| point.into())
 }
 

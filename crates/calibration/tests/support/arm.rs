@@ -1,14 +1,14 @@
 //! Simulated stereo rigs on an arm, and boards in a room or on another arm, with exact ground truth.
 
 use nalgebra::{Isometry3, Matrix3x2, Point3, Vector2, Vector3, Vector6};
-use pb3dp_calibration::board::{BoardCorner, Chessboard, Sighting};
+use pb3dp_calibration::board::Sighting;
 use pb3dp_calibration::hand_eye::HandEyeStop;
 use pb3dp_calibration::hand_eye::propose::{ProposalRequest, propose};
 use pb3dp_geometry::frames::{CamLeft, Flange};
-use pb3dp_geometry::{Camera, Pose, StereoRig, se3, so3};
-use pb3dp_kinematics::{Chain, Damping, JointVector, damped_pseudo_inverse};
+use pb3dp_geometry::{Pose, StereoRig, se3, so3};
+use pb3dp_kinematics::{Chain, Damping, JointVector, reach};
 
-use crate::support::{Random, SIZE, board, rig};
+use crate::support::{Random, SIZE, board, detected_by_both, rig};
 
 /// One setup: a stereo rig on an arm, and a board.
 pub struct World {
@@ -202,9 +202,7 @@ impl World {
         visit: &Visit,
         random: &mut Random,
     ) -> Option<[Sighting; 2]> {
-        let right = self.rig.cam_right_from_cam_left().isometry() * cam_left_from_board;
-        let left = sighting(self.rig.left(), cam_left_from_board, visit, random)?;
-        Some([left, sighting(self.rig.right(), &right, visit, random)?])
+        detected_by_both(&self.rig, cam_left_from_board, (visit.corner_sigma_px, visit.squares), random)
     }
 
     /// A stop as reported by the robot.
@@ -237,18 +235,6 @@ impl World {
             tc_base_from_tc_flange: tc,
         }
     }
-}
-
-fn sighting(camera: &Camera, cam_from_board: &Isometry3<f64>, visit: &Visit, random: &mut Random) -> Option<Sighting> {
-    let board: Chessboard = board();
-    let mut corners = Vec::with_capacity(board.corner_count());
-    for (column, row) in (0..board.rows()).flat_map(|row| (0..board.columns()).map(move |column| (column, row))) {
-        let noise = Vector2::new(random.normal(), random.normal()) * visit.corner_sigma_px;
-        let pixel = camera.project(&(cam_from_board * (board.corner_in_board(column, row) * visit.squares)))?;
-        let inside = (8.0..632.0).contains(&pixel.x) && (8.0..472.0).contains(&pixel.y);
-        inside.then(|| corners.push(BoardCorner { column, row, pixel: pixel + noise }))?;
-    }
-    Some(Sighting::new(corners))
 }
 
 /// A PA-10 with a stereo rig on its flange, a board in front of it, and noise in its joints.
@@ -321,18 +307,8 @@ impl JointWorld {
 
     /// Joint positions with the flange at a pose, starting from the arm's home position; `None` if out of reach.
     fn joints(&self, base_from_flange: &Isometry3<f64>) -> Option<JointVector> {
-        let mut joints_rad = self.rest_rad;
-        for _ in 0..100 {
-            let now = *self.chain.forward(&joints_rad).isometry();
-            let turn = so3::log(&(base_from_flange.rotation * now.rotation.inverse()));
-            let shift = base_from_flange.translation.vector - now.translation.vector;
-            if shift.norm() < 1e-7 && turn.norm() < 1e-7 {
-                return self.chain.limits().violation(&joints_rad).is_none().then_some(joints_rad);
-            }
-            let jacobian = self.chain.jacobian(&joints_rad);
-            let inverse = damped_pseudo_inverse(&jacobian, &Damping::new(0.01, 0.01).expect("damping"));
-            joints_rad += inverse * Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
-        }
-        None
+        let damping = Damping::new(0.01, 0.01).expect("damping");
+        let joints_rad = reach(&self.chain, &self.rest_rad, &Pose::from_isometry(*base_from_flange), &damping).ok()?;
+        self.chain.limits().violation(&joints_rad).is_none().then_some(joints_rad)
     }
 }

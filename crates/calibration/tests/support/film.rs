@@ -2,23 +2,18 @@
 
 use image::RgbImage;
 use nalgebra::{Isometry3, Translation3, Vector2, Vector3};
-use pb3dp_calibration::board::Chessboard;
 use pb3dp_geometry::{Camera, Distortion, ImageSize, MonotonicTime, Pinhole, Pose, StereoRig, so3};
 use pb3dp_record::dataset::{SearchRange, SequenceDraft, SequenceWriter, WrittenFrame};
 use pb3dp_record::images::StoredFormat;
 
 use crate::renderer::{Imaging, Renderer};
-use crate::support::Random;
+use crate::support::{Random, board};
 
 pub const SIZE: ImageSize = ImageSize { width: 480, height: 360 };
 pub const RATE_HZ: f64 = 30.0;
 /// Pairs at each pose, and on the path to the next one.
 pub const AT_REST: usize = 8;
 const ON_THE_WAY: usize = 4;
-
-pub fn board() -> Chessboard {
-    Chessboard::new(9, 6, 0.025).expect("a board")
-}
 
 /// Two different cameras, turned against each other.
 pub fn rig() -> StereoRig {

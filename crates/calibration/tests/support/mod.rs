@@ -4,6 +4,7 @@ use nalgebra::{Isometry3, Vector2, Vector3, Vector6};
 use pb3dp_calibration::board::{BoardCorner, Chessboard, Sighting};
 use pb3dp_calibration::fit::View;
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig, se3, so3};
+use pb3dp_record::metrics::percentile;
 use pb3dp_sim::noise::{hash, unit};
 
 pub const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
@@ -32,8 +33,13 @@ impl Random {
     }
 }
 
+/// Median and 95th percentile of a list.
+pub fn median_and_p95(values: &[f64]) -> [f64; 2] {
+    [50.0, 95.0].map(|percent| percentile(values, percent).expect("values"))
+}
+
 /// The defects of a simulated session.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub struct Session {
     pub views: usize,
     /// Standard deviation of a corner, px.
@@ -50,10 +56,25 @@ pub struct Session {
     pub tilt_max_rad: f64,
 }
 
+impl Session {
+    /// A careful session with a flat board, corners accurate to 0.1 px.
+    pub const GOOD: Self = Self {
+        views: 15,
+        corner_sigma_px: 0.1,
+        refocused: 0.0,
+        moved_between_cameras_m: 0.0,
+        flatness_m: 0.0,
+        streak_max_px: 0.0,
+        tilt_max_rad: 0.0,
+    };
+}
+
 /// A board that is not flat.
 struct Shape {
     bow_m: f64,
     twist_m: f64,
+    /// True side of a square divided by the stated one.
+    squares: f64,
 }
 
 /// Effect of a moving board on the corners of one image.
@@ -114,11 +135,12 @@ pub fn views_of(
     let shape = Shape {
         bow_m: session.flatness_m * share.copysign(signs[0]),
         twist_m: 0.5 * session.flatness_m * (1.0 - share).copysign(signs[1]),
+        squares: 1.0,
     };
     let mut views = Vec::with_capacity(session.views);
     while views.len() < session.views {
         let late = views.len() >= session.views / 2;
-        let right = if late { refocused(rig.right(), session.refocused) } else { *rig.right() };
+        let right = if late { with_focal(rig.right(), 1.0 + session.refocused) } else { *rig.right() };
         let cam_left_from_board = placed(rig, board, session, random);
         let moved = Vector3::from_fn(|_, _| random.normal()).normalize() * session.moved_between_cameras_m;
         let cam_right_from_board = rig.cam_right_from_cam_left().isometry()
@@ -157,30 +179,30 @@ pub fn views_of(
     views
 }
 
-/// The detections of a board by both cameras; `None` if it leaves an image.
-#[allow(dead_code, reason = "not every test that has this module places its boards by itself")]
+/// The detections of a flat board by both cameras, with the standard deviation of a corner and the true side of a square divided by the
+/// stated one; `None` if it leaves an image.
 pub fn detected_by_both(
     rig: &StereoRig,
     cam_left_from_board: &Isometry3<f64>,
-    session: &Session,
+    (corner_sigma_px, squares): (f64, f64),
     random: &mut Random,
 ) -> Option<[Sighting; 2]> {
     let board = board();
     let cam_right_from_board = rig.cam_right_from_cam_left().isometry() * cam_left_from_board;
-    let flat = Shape { bow_m: 0.0, twist_m: 0.0 };
-    let noise = |random: &mut Random| Vector2::new(random.normal(), random.normal()) * session.corner_sigma_px;
+    let flat = Shape { bow_m: 0.0, twist_m: 0.0, squares };
+    let noise = |random: &mut Random| Vector2::new(random.normal(), random.normal()) * corner_sigma_px;
     let left = sighting(rig.left(), cam_left_from_board, (&board, 0), &flat, noise, random)?;
     Some([left, sighting(rig.right(), &cam_right_from_board, (&board, 0), &flat, noise, random)?])
 }
 
-fn refocused(camera: &Camera, share: f64) -> Camera {
+/// The camera with another focal length.
+pub fn with_focal(camera: &Camera, factor: f64) -> Camera {
     let p = camera.pinhole();
-    let pinhole = Pinhole { fx: p.fx * (1.0 + share), fy: p.fy * (1.0 + share), ..*p };
+    let pinhole = Pinhole { fx: p.fx * factor, fy: p.fy * factor, ..*p };
     Camera::new(camera.size(), pinhole, *camera.distortion()).expect("a camera")
 }
 
 /// The board centre on the ray of a random pixel, the board filling a fifth to three quarters of the image width.
-#[allow(dead_code, reason = "not every program that has this module places boards by itself")]
 pub fn placed(rig: &StereoRig, board: &Chessboard, session: &Session, random: &mut Random) -> Isometry3<f64> {
     let middle = board.corner_in_board(board.columns() - 1, board.rows() - 1).coords * 0.5;
     let distance_m = 2.0 * middle.x * rig.left().pinhole().fx / (random.between(0.3, 0.75) * f64::from(SIZE.width));
@@ -203,7 +225,7 @@ fn sighting(
 ) -> Option<Sighting> {
     let (mut corners, mut outside) = (Vec::with_capacity(board.corner_count()), 0);
     for (column, row) in (0..board.rows()).flat_map(|row| (0..board.columns()).map(move |column| (column, row))) {
-        let mut in_board = board.corner_in_board(column, row);
+        let mut in_board = board.corner_in_board(column, row) * shape.squares;
         let share = |at: u32, all: u32| 2.0 * f64::from(at) / f64::from(all - 1) - 1.0;
         let (u, v) = (share(column, board.columns()), share(row, board.rows()));
         in_board.z = shape.bow_m * (1.0 - u * u) * (1.0 - v * v) + shape.twist_m * u * v;

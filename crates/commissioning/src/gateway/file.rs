@@ -51,7 +51,8 @@ pub struct AccessPlace {
 }
 
 /// Where the certificate of a gateway is.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct TlsPlace {
     /// File of the certificate.
     pub certificate: PathBuf,
@@ -155,14 +156,7 @@ struct HostSection {
 struct AccessSection {
     key_file: PathBuf,
     peers: Vec<String>,
-    tls: Option<TlsSection>,
-}
-
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct TlsSection {
-    certificate: PathBuf,
-    key: PathBuf,
+    tls: Option<TlsPlace>,
 }
 
 #[derive(Clone, Debug, Deserialize)]

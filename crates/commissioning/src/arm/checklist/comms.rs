@@ -5,16 +5,15 @@ use pb3dp_hal_api::{Arm, JointCommand};
 use pb3dp_kinematics::JointVector;
 use pb3dp_wiring::commissioning::see;
 
+use super::limits::{BRAKED_MAX_DEG, EXCHANGES, LATE_MAX_MS, LOST_PERCENT_MAX};
 use super::operator::Question;
-use super::record::StepReport;
 use super::session::Session;
-use super::steps::{BRAKED_MAX_DEG, EXCHANGES, LATE_MAX_MS, LOST_PERCENT_MAX};
 
 /// Runs the step.
 ///
 /// # Errors
 /// An arm or an operator that does not answer.
-pub fn run(session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
+pub fn run(session: &mut Session<'_>) -> Result<()> {
     let mut observed = see(&session.setup, session.choice, &session.clock)?;
     let monitor = observed.arm.monitor();
     let first = monitor.snapshot().joints.context("the arm reported no joints")?.position_rad;
@@ -35,6 +34,7 @@ pub fn run(session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
     let watchdog_us = u64::from(session.gateway.stop_after_us)
         .min(u64::try_from(session.choice.of(&session.setup).command_timeout.as_micros()).unwrap_or(u64::MAX));
     let lost_percent = 100.0 * counters.lost as f64 / counters.sent.max(1) as f64;
+    let report = &mut session.report;
     report.at_least("messages sent", counters.sent as f64, f64::from(EXCHANGES), "");
     report.at_most("messages without an answer", lost_percent, LOST_PERCENT_MAX, "%");
     report.at_most("damaged or foreign answers", (counters.damaged + counters.mismatched) as f64, 0.0, "");
@@ -43,7 +43,6 @@ pub fn run(session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
     report.at_most("commands sent late, 99 of 100", monitor.jitter().p99.as_secs_f64() * 1e3, LATE_MAX_MS, "ms");
     report.at_most("largest motion of a joint", moved_rad.to_degrees(), BRAKED_MAX_DEG, "deg");
     let velocity = observed.arm.exchange(JointCommand::Velocity(JointVector::zeros()));
-    let found = velocity.as_ref().map_or_else(ToString::to_string, |_| "it was accepted".to_owned());
-    report.holds("a velocity is refused while the brakes are on", velocity.is_err(), found);
-    session.ask(report, &Question::Pose { shown_rad: first })
+    report.refused("a velocity is refused while the brakes are on", &velocity, "it was accepted");
+    session.ask(&Question::Pose { shown_rad: first })
 }

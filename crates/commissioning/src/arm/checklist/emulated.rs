@@ -12,8 +12,8 @@ use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_kinematics::JointVector;
 
 use super::super::confirm::Console;
+use super::limits::REST_RAD_PER_S;
 use super::operator::{Act, Operator, Question};
-use super::steps::REST_RAD_PER_S;
 
 /// Accuracy with which an operator sees a joint, rad.
 const OBSERVED_WITHIN_RAD: f64 = 0.01;

@@ -15,10 +15,10 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use super::super::drive::LATE_MAX;
 use super::super::motion::{JointReport, settings_line};
+use super::limits::{BRAKED_MAX_DEG, LEFT_ALONE};
 use super::operator::Question;
-use super::record::StepReport;
+use super::report::StepReport;
 use super::session::{Session, refuses_motion};
-use super::steps::{BRAKED_MAX_DEG, LEFT_ALONE};
 use super::stops::{stopped_by_gateway, way};
 
 /// Share of the move after which the process is killed.
@@ -36,7 +36,7 @@ const BETWEEN_LOOKS: Duration = Duration::from_millis(500);
 ///
 /// # Errors
 /// If the arm was not moved, or an operator does not answer.
-pub fn run(session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
+pub fn run(session: &mut Session<'_>) -> Result<()> {
     let (choice, axis) = (session.choice, session.axis);
     let plan = {
         // The process to be killed needs the link for itself.
@@ -49,7 +49,7 @@ pub fn run(session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
         by_rad.to_degrees(),
         plan.duration().as_secs_f64()
     );
-    session.operator.ready(&text, None, &mut session.signals)?;
+    session.ready(&text, None)?;
     let begin = session.clock.now();
     let mut mover = Mover::start(session, by_rad)?;
     let last_rad = mover.moved(session, plan.start_rad(), (by_rad * KILL_AT, plan.duration()))?;
@@ -57,28 +57,28 @@ pub fn run(session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
     let last_rad = mover.last_line().unwrap_or(last_rad);
     let killed = session.clock.now();
     let last = JointState { at: killed, position_rad: last_rad, velocity_rad_per_s: JointVector::zeros() };
-    report.note(format!("killed {:.2} s after it was started", killed.seconds_since(begin)));
+    session.report.note(format!("killed {:.2} s after it was started", killed.seconds_since(begin)));
     session.pause(LEFT_ALONE)?;
 
     let observed = see(&session.setup, choice, &session.clock).map_err(|error| format!("{error:#}"));
-    found_stopped(report, observed.as_ref().map(|observed| observed.arm.monitor().snapshot()))?;
-    session.ask(report, &Question::Stopped(choice))?;
+    found_stopped(&mut session.report, observed.as_ref().map(|observed| observed.arm.monitor().snapshot()))?;
+    session.ask(&Question::Stopped(choice))?;
     let Ok(mut observed) = observed else { return Ok(()) };
-    if !report.complaints().is_empty() {
+    if !session.report.complaints().is_empty() {
         return Ok(());
     }
     let monitor = observed.arm.monitor();
-    refuses_motion(report, "before the reset", &mut observed.arm);
-    session.operator.ready("Next, the arm is reset.", None, &mut session.signals)?;
+    refuses_motion(&mut session.report, "before the reset", &mut observed.arm);
+    session.ready("Next, the arm is reset.", None)?;
     session.reset(&mut observed.arm)?;
     observed.arm.look()?;
     let rests = monitor.snapshot().joints.context("the arm reported no joints")?;
     session.pause(BETWEEN_LOOKS)?;
     observed.arm.look()?;
     let later = monitor.snapshot().joints.context("the arm reported no joints")?;
-    way(session, report, (&last, &rests));
+    way(session, &last, &rests);
     let moves_deg = (later.position_rad - rests.position_rad).amax().to_degrees();
-    report.at_most("motion between two measurements afterwards", moves_deg, BRAKED_MAX_DEG, "deg");
+    session.report.at_most("motion between two measurements afterwards", moves_deg, BRAKED_MAX_DEG, "deg");
     Ok(())
 }
 

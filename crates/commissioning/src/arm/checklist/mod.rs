@@ -4,13 +4,12 @@ mod comms;
 mod emulated;
 mod jog;
 mod kill;
+mod limits;
 mod operator;
-mod record;
 mod report;
 mod session;
 pub mod signals;
 mod status_bits;
-mod step_record;
 mod steps;
 mod stops;
 mod test_line;
@@ -39,11 +38,9 @@ use sha2::{Digest, Sha256};
 
 use self::emulated::Emulated;
 use self::operator::{Operator, Person};
-use self::record::{Outcome, StepReport};
-use self::report::{ProgramFacts, TestReport, Verdict};
-use self::session::{Acts, Session, is_interruption};
-use self::step_record::StepRecord;
-use self::steps::Step;
+use self::report::{Outcome, ProgramFacts, StepReport, TestReport};
+use self::session::{Session, is_interruption};
+use self::steps::{STEPS, Step};
 use self::test_line::{TestKey, TestLine};
 use super::confirm::{Console, need_no_button, need_person};
 use super::flights::{folder_of, utc};
@@ -72,11 +69,11 @@ pub struct TestArgs {
     #[arg(long, value_name = "DEGREES", default_value = "10", value_parser = parse_jog, allow_hyphen_values = true)]
     by: f64,
     /// Run only these steps, separated by commas.
-    #[arg(long, value_enum, value_name = "STEP", value_delimiter = ',', conflicts_with = "skip")]
-    only: Vec<Step>,
+    #[arg(long, value_parser = steps::parser(), value_name = "STEP", value_delimiter = ',', conflicts_with = "skip")]
+    only: Vec<&'static Step>,
     /// Run all steps but these.
-    #[arg(long, value_enum, value_name = "STEP", value_delimiter = ',')]
-    skip: Vec<Step>,
+    #[arg(long, value_parser = steps::parser(), value_name = "STEP", value_delimiter = ',')]
+    skip: Vec<&'static Step>,
     /// Operator of switches and cables: a person, or the program if the arm is emulated.
     #[arg(long, value_enum, default_value = "person")]
     operator: OperatorName,
@@ -112,14 +109,14 @@ pub fn run(args: &TestArgs, commit: &'static str) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     // A file that is no record is found before a step.
-    let mut record = open_record(&setup, &session)?;
+    open_record(&setup, &mut session)?;
     confirm(&args.company.word(session.choice), &asked, &mut session)?;
     std::fs::create_dir_all(&session.out).with_context(|| format!("{}: cannot be created", session.out.display()))?;
     let (settings, file) = (toml_of(&setup.layers.effective()), session.out.join("settings.toml"));
     std::fs::write(&file, &settings).with_context(|| format!("{}: cannot be written", file.display()))?;
     enter_control_thread();
-    let steps = all_steps(&asked, &mut session, record.as_mut());
-    let result = Verdict::of(&steps);
+    let steps = all_steps(&asked, &mut session);
+    let result = Outcome::of(&steps);
     let report = TestReport {
         format: REPORT_FORMAT,
         result,
@@ -141,9 +138,9 @@ pub fn run(args: &TestArgs, commit: &'static str) -> Result<ExitCode> {
     };
     let path = report.write(&session.out)?;
     let arm = session.choice.of(&setup);
-    match record {
-        Some(record) => {
-            print_line(&format!("commissioning record: {}, valid for {VALID_DAYS} days", record.path().display()))?;
+    match &session.record_file {
+        Some(path) => {
+            print_line(&format!("commissioning record: {}, valid for {VALID_DAYS} days", path.display()))?;
         }
         None if arm.link.is_toy() => {}
         None => {
@@ -151,28 +148,31 @@ pub fn run(args: &TestArgs, commit: &'static str) -> Result<ExitCode> {
         }
     }
     print_line(&format!("{}: {}\nreport: {}", session.choice.name(), result.word(), path.display()))?;
-    let is_well = matches!(result, Verdict::Passed | Verdict::Incomplete);
+    let is_well = matches!(result, Outcome::Passed | Outcome::Incomplete);
     Ok(if is_well { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// The commissioning record of an arm that is not emulated, if the setup names its file.
-fn open_record(setup: &Setup, session: &Session<'_>) -> Result<Option<StepRecord>> {
+/// Continues the commissioning record of an arm that is not emulated, if the setup names its file; writes nothing.
+fn open_record(setup: &Setup, session: &mut Session<'_>) -> Result<()> {
     let arm = session.choice.of(setup);
-    let path = arm.commissioning_record.as_ref().filter(|_| !arm.link.is_toy());
-    path.map(|path| StepRecord::open(path, session.record.clone())).transpose()
+    session.record_file = arm.commissioning_record.clone().filter(|_| !arm.link.is_toy());
+    if let Some(path) = &session.record_file {
+        session.record = session.record.clone().continued(path)?;
+    }
+    Ok(())
 }
 
 /// The requested steps, in order.
-fn asked(args: &TestArgs, setup: &Setup) -> Result<Vec<Step>> {
+fn asked(args: &TestArgs, setup: &Setup) -> Result<Vec<&'static Step>> {
     let is_toy = args.place.choice().other().of(setup).link.is_toy();
     // Only the emulated operator can press the switch of an emulated arm.
     let has_other = !args.company.alone && (!is_toy || args.operator == OperatorName::Emulated);
-    let wanted = |step: &Step| match args.only.is_empty() {
-        true => !args.skip.contains(step) && (*step != Step::Interlock || has_other),
+    let wanted = |step: &&'static Step| match args.only.is_empty() {
+        true => !args.skip.contains(step) && (!step.needs_other() || has_other),
         false => args.only.contains(step),
     };
-    let asked: Vec<_> = Step::ALL.into_iter().filter(wanted).collect();
-    if asked.contains(&Step::Interlock) && args.company.alone {
+    let asked: Vec<_> = STEPS.iter().filter(wanted).collect();
+    if need_other(&asked) && args.company.alone {
         bail!("the step interlock needs the other arm: remove --alone");
     }
     if asked.is_empty() {
@@ -181,9 +181,14 @@ fn asked(args: &TestArgs, setup: &Setup) -> Result<Vec<Step>> {
     Ok(asked)
 }
 
+/// Whether the other arm takes part in one of these steps.
+fn need_other(steps: &[&'static Step]) -> bool {
+    steps.iter().any(|step| step.needs_other())
+}
+
 /// Connects to the arm, checks it and prepares the session.
 fn begin<'a>(
-    (args, asked): (&'a TestArgs, &[Step]),
+    (args, asked): (&'a TestArgs, &[&'static Step]),
     setup: &Setup,
     signals: StopSignals,
     began: SystemTime,
@@ -223,8 +228,10 @@ fn begin<'a>(
         home_rad: snapshot.joints.context("the arm reported no joints")?.position_rad,
         gateway: snapshot.gateway.context("the arm has no gateway")?,
         record,
+        record_file: None,
         line,
         out,
+        report: StepReport::default(),
     };
     Ok((session, target))
 }
@@ -242,7 +249,7 @@ fn look(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Clock>) -> Result<(Arm
 
 /// The operator, and the address of an arm emulated for this test.
 fn operator(
-    (args, asked): (&TestArgs, &[Step]),
+    (args, asked): (&TestArgs, &[&'static Step]),
     setup: &mut Setup,
     clock: &Arc<dyn Clock>,
 ) -> Result<(Box<dyn Operator>, Option<TestLine>)> {
@@ -251,7 +258,7 @@ fn operator(
     let arms: &[ArmChoice] = match is_person {
         // A dry run needs no hand.
         true if !args.moves => &[],
-        true if !asked.contains(&Step::Interlock) => &[choice],
+        true if !need_other(asked) => &[choice],
         false if args.company.alone => &[choice],
         _ => &[choice, choice.other()],
     };
@@ -295,9 +302,9 @@ fn operator_of(
 }
 
 /// Prints the plan.
-fn show(args: &TestArgs, asked: &[Step], session: &Session<'_>) -> Result<()> {
+fn show(args: &TestArgs, asked: &[&'static Step], session: &Session<'_>) -> Result<()> {
     let choice = session.choice;
-    print_line(&format!("{}: test, {} of {} steps", choice.name(), asked.len(), Step::ALL.len()))?;
+    print_line(&format!("{}: test, {} of {} steps", choice.name(), asked.len(), STEPS.len()))?;
     for (index, step) in asked.iter().enumerate() {
         print_line(&step.line(index + 1))?;
     }
@@ -317,19 +324,18 @@ fn show(args: &TestArgs, asked: &[Step], session: &Session<'_>) -> Result<()> {
         print_line(&format!("within {:.1} s", plan.duration().as_secs_f64()))?;
         show_room(&session.setup, choice, &plan, other_rad.as_ref())?;
     }
-    // In these steps the operator acts at a switch or cable while the arm moves.
-    let acts = |step: &Step| matches!(step, Step::EStop | Step::Cable | Step::Interlock);
     let plan = session.plan_by(now_rad, session.by_rad)?;
-    if let (true, Some(warning)) = (asked.iter().any(acts), session.too_short_for_a_person(&plan)) {
+    if let (true, Some(warning)) = (asked.iter().any(|step| step.is_acted_on()), session.too_short_for_a_person(&plan))
+    {
         print_line(&format!("warning: {warning}"))?;
     }
     Ok(())
 }
 
 /// Asks the operator to confirm that arms may move.
-fn confirm(word: &str, asked: &[Step], session: &mut Session<'_>) -> Result<()> {
+fn confirm(word: &str, asked: &[&'static Step], session: &mut Session<'_>) -> Result<()> {
     if asked.iter().any(|step| step.moves()) {
-        let others = if asked.contains(&Step::Interlock) { " The brakes of both arms open." } else { "" };
+        let others = if need_other(asked) { " The brakes of both arms open." } else { "" };
         print_line(&format!(
             "The arm will move.{others} Keep all persons out of its reach and a hand on the emergency stop.\n\
              {}",
@@ -341,21 +347,19 @@ fn confirm(word: &str, asked: &[Step], session: &mut Session<'_>) -> Result<()> 
 }
 
 /// Runs the steps; those after a failed one are skipped. Nothing ends the checklist without a report.
-fn all_steps(asked: &[Step], session: &mut Session<'_>, mut record: Option<&mut StepRecord>) -> Vec<StepReport> {
+fn all_steps(asked: &[&'static Step], session: &mut Session<'_>) -> Vec<StepReport> {
     let mut reports: Vec<StepReport> = Vec::new();
     let mut ended: Option<String> = None;
-    for step in Step::ALL {
+    for step in &STEPS {
         let report = match &ended {
-            _ if !asked.contains(&step) => StepReport::skipped(step, "not requested"),
-            Some(why) => StepReport::skipped(step, why),
+            _ if !asked.contains(&step) => StepReport::skipped(step.name, step.title, "not requested"),
+            Some(why) => StepReport::skipped(step.name, step.title, why),
             None => {
-                let report = one_step(step, session, record.as_deref_mut());
+                let report = one_step(step, session);
                 let shown = show_result(&report);
                 ended = match (report.result, shown) {
-                    (Outcome::Failed | Outcome::Interrupted, _) => {
-                        Some(format!("the step {} did not pass", step.name()))
-                    }
-                    (_, Err(error)) => Some(format!("the result of {} could not be shown: {error}", step.name())),
+                    (Outcome::Failed | Outcome::Interrupted, _) => Some(format!("the step {} did not pass", step.name)),
+                    (_, Err(error)) => Some(format!("the result of {} could not be shown: {error}", step.name)),
                     (_, Ok(())) => None,
                 };
                 report
@@ -366,16 +370,17 @@ fn all_steps(asked: &[Step], session: &mut Session<'_>, mut record: Option<&mut 
     reports
 }
 
-fn one_step(step: Step, session: &mut Session<'_>, mut record: Option<&mut StepRecord>) -> StepReport {
+fn one_step(step: &Step, session: &mut Session<'_>) -> StepReport {
     let (wall, begin) = (SystemTime::now(), session.clock.now());
-    let mut report = StepReport::begin(step);
-    let outcome = begin_step(step, record.as_deref_mut()).and_then(|()| acts_of(step).run(session, &mut report));
+    session.report = StepReport::begin(step.name, step.title);
+    let outcome = begin_step(step, session).and_then(|()| step.run(session));
+    let mut report = std::mem::take(&mut session.report);
     report.began = Some(utc(wall));
     report.monotonic_s = Some(begin.as_secs_f64());
     report.took_s = session.clock.now().seconds_since(begin);
     let complaints = report.complaints();
-    let outcome = match (outcome, record) {
-        (Ok(()), Some(record)) if complaints.is_empty() => record.pass(step, utc(SystemTime::now())),
+    let outcome = match (outcome, &session.record_file) {
+        (Ok(()), Some(path)) if complaints.is_empty() => session.record.pass(step.name, utc(SystemTime::now()), path),
         (outcome, _) => outcome,
     };
     report.result = match &outcome {
@@ -390,22 +395,10 @@ fn one_step(step: Step, session: &mut Session<'_>, mut record: Option<&mut StepR
     report
 }
 
-/// The acts of a step, and the arms that they need.
-fn acts_of(step: Step) -> Acts {
-    match step {
-        Step::Comms => Acts::Undriven(comms::run),
-        Step::Jog => Acts::Driven { beside_other: false, act: jog::there_and_back },
-        Step::EStop => Acts::Driven { beside_other: false, act: stops::e_stop },
-        Step::Cable => Acts::Driven { beside_other: false, act: stops::cable },
-        Step::Kill => Acts::Undriven(kill::run),
-        Step::Interlock => Acts::Driven { beside_other: true, act: stops::interlock },
-    }
-}
-
 /// Announces a step, and removes its earlier pass from the commissioning record.
-fn begin_step(step: Step, record: Option<&mut StepRecord>) -> Result<()> {
-    print_line(&format!("\n{}: {}", step.name(), step.title()))?;
-    record.map_or(Ok(()), |record| record.begin(step))
+fn begin_step(step: &Step, session: &mut Session<'_>) -> Result<()> {
+    print_line(&format!("\n{}: {}", step.name, step.title))?;
+    session.record_file.as_ref().map_or(Ok(()), |path| session.record.begin(step.name, path))
 }
 
 /// Prints the figures and the result of a step.
@@ -417,7 +410,7 @@ fn show_result(report: &StepReport) -> std::io::Result<()> {
     for reason in &report.reasons {
         print_line(&format!("  {reason}"))?;
     }
-    print_line(&format!("{}: {}", report.step.name(), report.result.word()))
+    print_line(&format!("{}: {}", report.step, report.result.word()))
 }
 
 /// The SHA-256 of this content, as `sha256sum` prints it.

@@ -18,14 +18,14 @@ use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, Clock, Join
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_kinematics::JointVector;
 use pb3dp_setup::setup::Setup;
-use pb3dp_wiring::commissioning::{OtherArm, SlowArm, wire_slow};
+use pb3dp_wiring::commissioning::{SlowArm, wire_slow};
 
 use super::super::confirm::Interrupted;
 use super::super::drive::{self, Cycle, Drive};
 use super::super::{Place, flights};
+use super::limits::{OVER_SPEED, REST_RAD_PER_S, WRONG_WAY_DEG};
 use super::operator::{Act, Operator, Question};
-use super::record::{Answer, StepReport};
-use super::steps::{OVER_SPEED, Step, WRONG_WAY_DEG};
+use super::report::{Answer, StepReport};
 use super::test_line::TestLine;
 use crate::arm::motion::JOG_RAD_PER_S;
 use crate::commissioned::CommissioningRecord;
@@ -71,45 +71,16 @@ pub struct Session<'a> {
     pub home_rad: JointVector,
     /// Properties reported by the gateway.
     pub gateway: HelloReply,
-    /// An empty commissioning record of the arm.
+    /// The commissioning record of the arm.
     pub record: CommissioningRecord,
+    /// Its file, if the setup names one and the arm is not emulated.
+    pub record_file: Option<PathBuf>,
     /// Address and key of the arm, if it differs from the setup.
     pub line: Option<TestLine>,
     /// Output folder of the report.
     pub out: PathBuf,
-}
-
-/// What a step does. Each act records its figures.
-pub enum Acts {
-    /// No arm is driven by this program.
-    Undriven(fn(&mut Session<'_>, &mut StepReport) -> Result<()>),
-    /// An arm is driven, alone or with the other one connected.
-    Driven {
-        /// Whether the other one is connected.
-        beside_other: bool,
-        /// The act.
-        act: fn(&mut Session<'_>, &mut StepReport, &mut SlowArm) -> Result<()>,
-    },
-}
-
-impl Acts {
-    /// Connects the arms that are needed, acts, and keeps the flight recorders if something has failed.
-    ///
-    /// # Errors
-    /// An arm or an operator that does not answer, a failed move, or nothing that stopped an arm.
-    pub fn run(self, session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
-        let (beside_other, act) = match self {
-            Self::Undriven(act) => return act(session, report),
-            Self::Driven { beside_other, act } => (beside_other, act),
-        };
-        let mut arm = session.connect(beside_other)?;
-        let outcome = act(session, report, &mut arm);
-        let may_be_on = |other: &&mut OtherArm| matches!(other.driven.state(), ArmState::Enabled | ArmState::Disabled);
-        if let Some(other) = arm.other.as_mut().filter(may_be_on) {
-            other.driven.stop().context("the other arm: stop order failed; press its emergency stop")?;
-        }
-        session.keep_if_failed(report, &arm, outcome)
-    }
+    /// Report of the current step.
+    pub report: StepReport,
 }
 
 /// Record of a stop.
@@ -131,7 +102,7 @@ pub struct Stop {
 impl Stop {
     /// Time to standstill, milliseconds; infinite if no standstill was measured.
     pub fn to_rest_ms(&self) -> f64 {
-        let slow = |sample: &JointState| sample.velocity_rad_per_s.amax() <= super::steps::REST_RAD_PER_S;
+        let slow = |sample: &JointState| sample.velocity_rad_per_s.amax() <= REST_RAD_PER_S;
         match self.after.iter().rposition(|sample| !slow(sample)) {
             None if self.after.is_empty() => f64::INFINITY,
             None => 0.0,
@@ -291,8 +262,18 @@ impl Session<'_> {
             self.axis,
             plan.duration().as_secs_f64()
         );
-        self.operator.ready(&text, None, &mut self.signals)?;
+        self.ready(&text, None)?;
         Ok(plan)
+    }
+
+    /// Checks the clearance to the other arm on the path.
+    ///
+    /// # Errors
+    /// If it is less than allowed, or unknown.
+    pub fn check_room(&self, arm: &mut SlowArm, plan: &Plan) -> Result<()> {
+        let other = arm.other.as_mut().context("the other arm is not connected")?;
+        let other_rad = other.driven.exchange(JointCommand::Hold)?.position_rad;
+        plan.room(&self.setup, self.choice, &other_rad).check(&self.setup)
     }
 
     /// Opens the brakes of the other arm, which holds during the move of this one.
@@ -396,13 +377,21 @@ impl Session<'_> {
         }
     }
 
+    /// Shows the next event and the requested action, and waits until the operator is ready.
+    ///
+    /// # Errors
+    /// As [`Operator::ready`].
+    pub fn ready(&mut self, text: &str, act: Option<Act>) -> Result<()> {
+        self.operator.ready(text, act, &mut self.signals)
+    }
+
     /// Asks the operator, and records the answer.
     ///
     /// # Errors
     /// If the operator does not answer.
-    pub fn ask(&mut self, report: &mut StepReport, question: &Question) -> Result<()> {
+    pub fn ask(&mut self, question: &Question) -> Result<()> {
         let yes = self.operator.ask(question, &mut self.signals)?;
-        report.answers.push(Answer { question: question.to_string(), yes });
+        self.report.answers.push(Answer { question: question.to_string(), yes });
         if let (false, Question::Stopped(choice)) = (yes, question) {
             print_line(&format!("PRESS THE EMERGENCY STOP of the {}: nothing else may stop the arm", choice.name()))?;
         }
@@ -429,18 +418,18 @@ impl Session<'_> {
     ///
     /// # Errors
     /// Those of `outcome`.
-    fn keep_if_failed(&self, report: &mut StepReport, arm: &SlowArm, outcome: Result<()>) -> Result<()> {
-        let complaints = report.complaints();
+    pub fn keep_if_failed(&mut self, arm: &SlowArm, outcome: Result<()>) -> Result<()> {
+        let complaints = self.report.complaints();
         let failure = match &outcome {
             Err(error) => format!("{error:#}"),
             Ok(()) if complaints.is_empty() => return outcome,
             Ok(()) => complaints.join("; "),
         };
-        let folder = self.out.join(report.step.name());
+        let folder = self.out.join(self.report.step);
         for kept in flights::keep(&folder, self.choice, arm, &anyhow!("{failure}"), self.clock.now()) {
             match kept {
-                Ok(path) => report.flights.push(path.display().to_string()),
-                Err(error) => report.note(format!("{error:#}")),
+                Ok(path) => self.report.flights.push(path.display().to_string()),
+                Err(error) => self.report.note(format!("{error:#}")),
             }
         }
         outcome
@@ -482,13 +471,6 @@ pub fn refuses_motion(report: &mut StepReport, when: &str, arm: &mut (impl Arm +
         (Err(error), Err(_)) => report.holds(what, true, error.to_string()),
         (Ok(()), _) => report.holds(what, false, "the arm could be enabled"),
         (_, Ok(_)) => report.holds(what, false, "a velocity was accepted"),
-    }
-}
-
-impl Step {
-    /// A line of the plan.
-    pub fn line(self, number: usize) -> String {
-        format!("{number}. {}: {}\n   expected: {}", self.name(), self.title(), self.expects())
     }
 }
 

@@ -1,124 +1,207 @@
-//! Steps of the checklist, in order, with their limits.
+//! The checklist: a table of its steps, with what each one needs and does, and their limits.
 
-use std::time::Duration;
+use anyhow::{Context, Result};
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use pb3dp_cell::parts::ArmChoice;
+use pb3dp_hal_api::{ArmPower as _, ArmState};
+use pb3dp_wiring::commissioning::{OtherArm, SlowArm};
 
-use clap::ValueEnum;
-use serde::Serialize;
+use super::limits::{
+    BEHIND_MAX_DEG, BRAKED_MAX_DEG, END_MAX_DEG, EXCHANGES, INTERLOCK_REST_MAX_MS, LOST_PERCENT_MAX, OTHERS_MAX_DEG,
+    PLAY_DEG, SAG_MAX_DEG,
+};
+use super::operator::Act;
+use super::session::{Session, Stop};
+use super::{comms, jog, kill, stops};
 
 /// A step. Each one needs the previous ones.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, ValueEnum, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Step {
-    /// Messages only, with brakes on.
-    Comms,
-    /// One axis, slowly.
-    Jog,
-    /// Emergency stop while the arm moves.
-    EStop,
-    /// Cable between this computer and the gateway, pulled while the arm moves.
-    Cable,
-    /// Process killed while the arm moves.
-    Kill,
-    /// Emergency stop of the other arm.
-    Interlock,
+pub struct Step {
+    /// Name on the command line, in reports and in commissioning records.
+    pub name: &'static str,
+    /// Help on the command line.
+    help: &'static str,
+    /// Description of the step.
+    pub title: &'static str,
+    /// What it needs and does.
+    pub task: Task,
+    /// Expected result, for the operator.
+    expects: fn() -> String,
 }
 
-/// Number of messages that test the link.
-pub const EXCHANGES: u32 = 300;
-/// Largest share of lost messages, percent.
-pub const LOST_PERCENT_MAX: f64 = 1.0;
-/// Largest lateness of a command, ms: a later one counts as an overrun of the host.
-pub const LATE_MAX_MS: f64 = 5.0;
-/// Largest apparent motion of joints with closed brakes, degrees: 45 counts of the resolvers.
-pub const BRAKED_MAX_DEG: f64 = 0.02;
-/// Largest lag of a moving axis behind its plan, degrees.
-pub const BEHIND_MAX_DEG: f64 = 0.5;
-/// Largest motion of joints commanded to hold, degrees.
-pub const OTHERS_MAX_DEG: f64 = 0.1;
-/// Largest residual of an axis at the end of its move, degrees.
-pub const END_MAX_DEG: f64 = 0.05;
-/// Largest ratio of measured to allowed speed, for two consecutive samples (R13).
-pub const OVER_SPEED: f64 = 1.1;
-/// Rotation in the wrong direction that aborts the move, degrees.
-pub const WRONG_WAY_DEG: f64 = 0.2;
-/// Largest sag of a joint when brakes close or drives lose power, degrees.
-pub const SAG_MAX_DEG: f64 = 2.0;
-/// Largest joint speed after an emergency stop, rad/s: the speed limit of the slowest joints.
-pub const FALL_MAX_RAD_PER_S: f64 = 1.0;
-/// Speed of every joint below which an arm is stationary, rad/s: ten counts of a measured speed.
-pub const REST_RAD_PER_S: f64 = 2e-3;
-/// Longest time from an action to the stop of the program, ms; only if the program performs the action.
-pub const NOTICED_MAX_MS: f64 = 30.0;
-/// Control cycles from the last measurement to the fault of a silent link: three lost replies and the wait for the last one.
-pub const SILENT_CYCLES_MAX: f64 = 5.0;
-/// Largest travel in excess of the watchdog time, degrees: play of the brakes.
-pub const PLAY_DEG: f64 = 0.5;
-/// Margin on the braking time until an arm is stationary.
-pub const REST_MARGIN: Duration = Duration::from_millis(50);
-/// Margin on the brake time for an arm stopped by the other one, ms: R8 gives 100 ms.
-pub const INTERLOCK_REST_MAX_MS: f64 = 100.0;
-/// Wait before a stopped arm is checked: at 0.02 rad/s an arm that continues moves 2.3 degrees.
-pub const LEFT_ALONE: Duration = Duration::from_secs(2);
+/// What a step needs and does. Each task records its figures.
+pub enum Task {
+    /// Messages; no brake opens.
+    Messages(fn(&mut Session<'_>) -> Result<()>),
+    /// This program moves the arm.
+    Move(fn(&mut Session<'_>, &mut SlowArm) -> Result<()>),
+    /// This program moves the arm until an action of the operator stops it.
+    StoppedMove {
+        /// The action.
+        by: fn(ArmChoice) -> Act,
+        /// Whether the other arm holds with open brakes.
+        beside_other: bool,
+        /// What is checked once the arm is stopped.
+        check: fn(&mut Session<'_>, &mut SlowArm, &Stop) -> Result<()>,
+    },
+    /// Another process moves the arm.
+    OtherProcess(fn(&mut Session<'_>) -> Result<()>),
+}
 
-impl Step {
-    /// All steps, in order.
-    pub const ALL: [Self; 6] = [Self::Comms, Self::Jog, Self::EStop, Self::Cable, Self::Kill, Self::Interlock];
-
-    /// Name on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Comms => "comms",
-            Self::Jog => "jog",
-            Self::EStop => "e-stop",
-            Self::Cable => "cable",
-            Self::Kill => "kill",
-            Self::Interlock => "interlock",
-        }
-    }
-
-    /// Description of the step.
-    pub fn title(self) -> &'static str {
-        match self {
-            Self::Comms => "messages only, brakes on",
-            Self::Jog => "one axis at 0.02 rad/s, there and back",
-            Self::EStop => "the emergency stop while it moves",
-            Self::Cable => "the cable to the gateway, pulled while it moves",
-            Self::Kill => "kill -9 of the program that moves it",
-            Self::Interlock => "the emergency stop of the other arm, while this one moves",
-        }
-    }
-
-    /// Whether brakes open in this step.
-    pub fn moves(self) -> bool {
-        self != Self::Comms
-    }
-
-    /// Expected result, for the operator.
-    pub fn expects(self) -> String {
-        match self {
-            Self::Comms => format!(
+/// The steps, in order.
+pub static STEPS: [Step; 6] = [
+    Step {
+        name: "comms",
+        help: "Messages only, with brakes on",
+        title: "messages only, brakes on",
+        task: Task::Messages(comms::run),
+        expects: || {
+            format!(
                 "{EXCHANGES} messages; at most {LOST_PERCENT_MAX} % lost, none damaged, joints still within {BRAKED_MAX_DEG} deg, a \
                  velocity is refused"
-            ),
-            Self::Jog => format!(
-                "right axis and direction, lag at most {BEHIND_MAX_DEG} deg, residual at most {END_MAX_DEG} deg at the end; other joints within \
-                 {OTHERS_MAX_DEG} deg"
-            ),
-            Self::EStop => format!(
+            )
+        },
+    },
+    Step {
+        name: "jog",
+        help: "One axis, slowly",
+        title: "one axis at 0.02 rad/s, there and back",
+        task: Task::Move(jog::there_and_back),
+        expects: || {
+            format!(
+                "right axis and direction, lag at most {BEHIND_MAX_DEG} deg, residual at most {END_MAX_DEG} deg at the end; other joints \
+                 within {OTHERS_MAX_DEG} deg"
+            )
+        },
+    },
+    Step {
+        name: "e-stop",
+        help: "Emergency stop while the arm moves",
+        title: "the emergency stop while it moves",
+        task: Task::StoppedMove { by: Act::PressEmergencyStop, beside_other: false, check: stops::e_stop },
+        expects: || {
+            format!(
                 "stationary after the brake time, no joint sags by more than {SAG_MAX_DEG} deg; no reset while the stop is pressed, no \
                  motion before the reset"
-            ),
-            Self::Cable => format!(
+            )
+        },
+    },
+    Step {
+        name: "cable",
+        help: "Cable between this computer and the gateway, pulled while the arm moves",
+        title: "the cable to the gateway, pulled while it moves",
+        task: Task::StoppedMove { by: Act::PullCable, beside_other: false, check: stops::cable },
+        expects: || {
+            format!(
                 "one error at once; the gateway stops the arm by itself, within its watchdog travel plus {PLAY_DEG} deg; no motion \
                  before the reset"
-            ),
-            Self::Kill => format!(
+            )
+        },
+    },
+    Step {
+        name: "kill",
+        help: "Process killed while the arm moves",
+        title: "kill -9 of the program that moves it",
+        task: Task::OtherProcess(kill::run),
+        expects: || {
+            format!(
                 "the gateway stops the arm by itself, within its watchdog travel plus {PLAY_DEG} deg; no motion before the reset"
-            ),
-            Self::Interlock => format!(
+            )
+        },
+    },
+    Step {
+        name: "interlock",
+        help: "Emergency stop of the other arm",
+        title: "the emergency stop of the other arm, while this one moves",
+        task: Task::StoppedMove {
+            by: |choice| Act::PressEmergencyStop(choice.other()),
+            beside_other: true,
+            check: stops::interlock,
+        },
+        expects: || {
+            format!(
                 "this arm is stopped within one control cycle and stationary within its brake time plus {INTERLOCK_REST_MAX_MS} ms; it can \
                  only be reset after the other one"
-            ),
+            )
+        },
+    },
+];
+
+/// The steps by their names on the command line.
+pub fn parser() -> impl TypedValueParser<Value = &'static Step> {
+    let names = STEPS.iter().map(|step| PossibleValue::new(step.name).help(step.help));
+    PossibleValuesParser::new(names)
+        .try_map(|name| STEPS.iter().find(|step| step.name == name).ok_or("it is no step of the checklist"))
+}
+
+impl PartialEq for Step {
+    fn eq(&self, other: &Self) -> bool {
+        self.name == other.name
+    }
+}
+
+impl std::fmt::Debug for Step {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name)
+    }
+}
+
+impl Step {
+    /// Whether brakes open in this step.
+    pub fn moves(&self) -> bool {
+        !matches!(self.task, Task::Messages(_))
+    }
+
+    /// Whether the operator acts at a switch or cable while the arm moves.
+    pub fn is_acted_on(&self) -> bool {
+        matches!(self.task, Task::StoppedMove { .. })
+    }
+
+    /// Whether the other arm takes part.
+    pub fn needs_other(&self) -> bool {
+        matches!(self.task, Task::StoppedMove { beside_other: true, .. })
+    }
+
+    /// A line of the plan.
+    pub fn line(&self, number: usize) -> String {
+        format!("{number}. {}: {}\n   expected: {}", self.name, self.title, (self.expects)())
+    }
+
+    /// Connects the arms that are needed, acts, and keeps the flight recorders if something has failed.
+    ///
+    /// # Errors
+    /// An arm or an operator that does not answer, a failed move, or nothing that stopped an arm.
+    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        match self.task {
+            Task::Messages(run) | Task::OtherProcess(run) => run(session),
+            Task::Move(run) => drive(session, false, run),
+            Task::StoppedMove { by, beside_other, check } => {
+                drive(session, beside_other, |session, arm| {
+                    let act = by(session.choice);
+                    let plan = session.announce(arm, act)?;
+                    if beside_other {
+                        session.check_room(arm, &plan)?;
+                        // An arm with closed brakes would not report its emergency stop.
+                        session.switch_other_on(arm, &plan)?;
+                    }
+                    let stop = session.drive_until(arm, &plan, act)?;
+                    check(session, arm, &stop)
+                })
+            }
         }
     }
+}
+
+/// Acts with the arm connected, alone or with the other one; that one is stopped afterwards.
+fn drive(
+    session: &mut Session<'_>,
+    beside_other: bool,
+    act: impl FnOnce(&mut Session<'_>, &mut SlowArm) -> Result<()>,
+) -> Result<()> {
+    let mut arm = session.connect(beside_other)?;
+    let outcome = act(session, &mut arm);
+    let may_be_on = |other: &&mut OtherArm| matches!(other.driven.state(), ArmState::Enabled | ArmState::Disabled);
+    if let Some(other) = arm.other.as_mut().filter(may_be_on) {
+        other.driven.stop().context("the other arm: stop order failed; press its emergency stop")?;
+    }
+    session.keep_if_failed(&arm, outcome)
 }
