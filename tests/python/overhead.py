@@ -37,7 +37,7 @@ Commit {commit}; {processor}; Python {python}, numpy {numpy}.
 """
 
 
-def added_us(call, stated_ms):
+def added_us(call, stated_s):
     """Medians of the stated time and of the added time, microseconds."""
     call()
     stated, added = [], []
@@ -45,7 +45,7 @@ def added_us(call, stated_ms):
         start = time.perf_counter()
         result = call()
         elapsed_us = (time.perf_counter() - start) * 1e6
-        stated.append(stated_ms(result) * 1e3)
+        stated.append(stated_s(result) * 1e6)
         added.append(elapsed_us - stated[-1])
     return statistics.median(stated), statistics.median(added)
 
@@ -78,14 +78,14 @@ def measured(recording):
     rows = []
     for name, (left, right) in layouts(pair).items():
         estimator = pb3dp.Estimator(recording.rig, **keywords, value_range=(0, 255 << 4))
-        rows.append(("estimate", name, *added_us(lambda: estimator.estimate(left, right, region), lambda result: result.cpu_ms)))  # noqa: B023
+        rows.append(("estimate", name, *added_us(lambda: estimator.estimate(left, right, region), lambda result: result.cpu_s)))  # noqa: B023
     estimator = pb3dp.Estimator(recording.rig, **keywords)
     left, right = pair.left, pair.right
     rows.append(("estimate, all results read", "uint8, red green blue, in one piece",
-                 *added_us(lambda: read_all(estimator.estimate(left, right, region)), lambda result: result.cpu_ms)))
+                 *added_us(lambda: read_all(estimator.estimate(left, right, region)), lambda result: result.cpu_s)))
     tracker = pb3dp.Tracker(recording.rig, **keywords)
     tracker.track(left, right, region)
-    rows.append(("track", "uint8, red green blue, in one piece", *added_us(lambda: tracker.track(left, right), lambda result: result.cpu_ms)))
+    rows.append(("track", "uint8, red green blue, in one piece", *added_us(lambda: tracker.track(left, right), lambda result: result.cpu_s)))
     return rows
 
 

@@ -108,7 +108,7 @@ def test_files(tmp_path):
     broken.write_text("{")
     refused(lambda: pb3dp.StereoRig.load(broken), "calib.json")
     refused(lambda: pb3dp.Recording(tmp_path / "nowhere.mcap"), "nowhere.mcap")
-    refused(lambda: pb3dp.Recording(CASES[0], pair_within_ms=float("nan")), "pair_within_ms")
+    refused(lambda: pb3dp.Recording(CASES[0], pair_within_s=float("nan")), "pair_within_s")
     refused(lambda: pb3dp.read_image(tmp_path / "nowhere.png"), "nowhere.png")
     with pytest.raises(IndexError, match="1 pairs"):
         pb3dp.Recording(CASES[0])[1]
@@ -119,6 +119,9 @@ def test_trackers(case):
     tracker = pb3dp.Tracker(recording.rig)
     error = refused(lambda: tracker.track(pair.left, pair.right), "no target yet")
     assert error.code is not None and not tracker.is_started
+    for skew_s in [2.0, float("nan")]:
+        refused(lambda skew_s=skew_s: tracker.track(pair.left, pair.right, RECTANGLE, skew_s=skew_s), "skew_s", "0.1 seconds")
+        refused(lambda skew_s=skew_s: pb3dp.Recording(CASES[0], skew_s=skew_s), "skew_s", "0.1 seconds")
     for motion in [np.eye(3), np.zeros((4, 4)), np.full((4, 4), np.nan), np.diag([1.0, 1.0, -1.0, 1.0])]:
         refused(lambda motion=motion: tracker.track(pair.left, pair.right, RECTANGLE, cam_left_prev_from_cam_left_now=motion), "cam_left_prev")
 
@@ -129,12 +132,12 @@ def test_numbers_at_random_never_panic(case):
     for numbers in itertools.islice(itertools.product(values, repeat=4), 0, None, 97):
         try:
             region = pb3dp.Region.rectangle(*numbers)
-            estimator.estimate(pair.left, pair.right, region, deadline_ms=0.0)
+            estimator.estimate(pair.left, pair.right, region, deadline_s=0.0)
         except pb3dp.Error as error:
             assert str(error)
     for numbers in itertools.islice(itertools.product(values, repeat=2), 0, None, 5):
         try:
-            estimator.estimate(pair.left, pair.right, RECTANGLE, centroid_px=numbers, deadline_ms=numbers[0])
+            estimator.estimate(pair.left, pair.right, RECTANGLE, centroid_px=numbers, deadline_s=numbers[0])
         except pb3dp.Error as error:
             assert str(error)
 

@@ -13,9 +13,11 @@ from nbclient import NotebookClient
 
 import pb3dp
 from conftest import CASES, ROOT, estimator_of
+from stub import STUB, with_docstrings
 
 PAGES = ["README.md", "crates/python/README.md", "docs/how-to/from-python.md"]
 FOLDER = 'Recording("images")'
+UNITS = {"_m": "metre", "_rad": "radian", "_s": "second", "_ns": "nanosecond", "_px": "pixel", "_hz": "per second"}
 NOTEBOOK = ROOT / "docs/how-to/from-python.ipynb"
 
 
@@ -36,15 +38,34 @@ def test_a_program_that_uses_the_package_passes_the_strict_check(tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_everything_has_a_docstring():
+def test_the_stub_has_the_docstrings_of_the_module():
+    assert STUB.read_text() == with_docstrings(STUB.read_text()), "run cargo xtask python --stub"
+
+
+def test_everything_has_a_docstring_with_its_arguments_and_units():
+    assert set(pb3dp._pb3dp.__all__) <= set(pb3dp.__all__)
     for name in pb3dp.__all__:
         thing = getattr(pb3dp, name)
         if name == "__version__":
             continue
-        assert inspect.getdoc(thing), name
-        for member, value in vars(thing).items() if inspect.isclass(thing) else ():
+        check_docstring(name, thing)
+        # The fields of a named tuple stand in the docstring of its class.
+        for member in vars(thing) if inspect.isclass(thing) and not issubclass(thing, tuple) else ():
             if not member.startswith("_") and name != "Error":
-                assert inspect.getdoc(value), f"{name}.{member}"
+                check_docstring(member, getattr(thing, member))
+
+
+def check_docstring(name, thing):
+    """A docstring states the unit that a name abbreviates, and names every argument."""
+    text = inspect.getdoc(thing)
+    assert text, name
+    is_made = inspect.isclass(thing) and "__new__" in vars(thing)
+    called = inspect.signature(thing).parameters if is_made or inspect.isroutine(thing) else []
+    arguments = [given for given in called if given != "self"]
+    assert not [given for given in arguments if f"`{given}`" not in text], (name, arguments, text)
+    for suffix, word in UNITS.items():
+        if any(each.endswith(suffix) for each in [name, *arguments]):
+            assert word in text, (name, word, text)
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -138,7 +159,7 @@ def test_a_rig_is_described(case):
     rig = case[0].rig
     assert rig.image_size == case[1].left.shape[1::-1] and 0.01 < rig.baseline_m < 1
     assert rig.left_matrix.shape == (3, 3) and rig.cam_right_from_cam_left[0, 3] < 0
-    assert rig.left_distortion[0] == "none" and str(CASES[0].name) in rig.source
+    assert rig.left_distortion.model == "none" and str(CASES[0].name) in rig.source
     [pixel] = rig.project_left(np.array([[0.0, 0.0, 1.0]]))
     assert np.allclose(pixel, rig.left_matrix[:2, 2])
     assert np.isnan(rig.project_left(np.array([[0.0, 0.0, -1.0]]))).all()

@@ -71,7 +71,9 @@ def test_the_visible_surface_of_a_region(tmp_path):
     rig = pb3dp.StereoRig.load(folder / "calib.json")
     estimator = pb3dp.Estimator(rig, z_range_m=(350 * 1e-3, 800 * 1e-3))
     left, right = map(pb3dp.read_image, files)
-    positions, sigmas, colours, measured = estimator.visible_surface(left, right, pb3dp.Region.parse("rect:150,120,90,80"))
+    surface = estimator.visible_surface(left, right, pb3dp.Region.parse("rect:150,120,90,80"))
+    assert isinstance(surface, pb3dp.VisibleSurface)
+    positions, sigmas, colours, measured = surface
     cloud = tmp_path / "cloud.ply"
     lines("estimate", "--left", files[0], "--right", files[1], "--calib", folder / "calib.json", "--region", "rect:150,120,90,80",
           "--z-range", "350,800", "--surface", cloud, "--json")
@@ -96,7 +98,9 @@ def test_a_tracked_recording(recorded, method):
         assert without_time(estimate.to_json(pair.index, pair.t_s)) == line
         if line["cam_left_from_model"] is not None:
             assert bits(line["cam_left_from_model"], estimate.cam_left_from_model)
-    positions, normals, sigmas, colours = tracker.surface()
+    surface = tracker.surface()
+    assert isinstance(surface, pb3dp.Surface)
+    positions, normals, sigmas, colours = surface
     assert positions.shape == normals.shape == colours.shape and colours.dtype == np.uint8
     assert sigmas.shape == (len(positions),) and np.all(sigmas > 0.0)
     assert (len(positions) > 100) == (method == "direct")

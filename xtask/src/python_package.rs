@@ -1,6 +1,7 @@
 //! `cargo xtask python`: the Python package and its tests.
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use anyhow::Context;
 
@@ -13,7 +14,7 @@ const PACKAGE: &str = "crates/python";
 /// The module of Python as an example of its crate, which one build with all tests can contain.
 const EXTENSION: &str = "pb3dp_extension";
 
-/// Tests the Python package against the program (tests/python): the same bits, the stubs, the pages, the notebook.
+/// Tests the Python package against the program (tests/python): the same bits, the stub and its docstrings, the pages, the notebook.
 ///
 /// Needs python3 with its module venv; the packages of tests/python/requirements.txt go into a folder of their own. The module comes from
 /// the build of all tests, which `cargo xtask ci` has built before. With --wheel, a wheel of the release is built by maturin, installed in
@@ -29,6 +30,9 @@ pub struct Args {
     /// Measure the time that the package adds to each call, and write docs/benchmarks/python.md.
     #[arg(long, requires = "wheel")]
     bench: bool,
+    /// Write the docstrings of the module into its stub (crates/python/python/pb3dp/_pb3dp.pyi).
+    #[arg(long, conflicts_with = "wheel")]
+    stub: bool,
 }
 
 /// All tests with the programs in a folder, or after a build.
@@ -36,12 +40,15 @@ pub struct Args {
 /// # Errors
 /// If a test fails, or the machine lacks a requirement.
 pub fn run(workspace: &Workspace, args: &Args, programs: Option<&Path>) -> anyhow::Result<()> {
+    let python = if args.wheel { of_wheel(workspace)? } else { of_test_build(workspace)? };
+    if args.stub {
+        return run_visibly(python.command(workspace).arg(format!("{TESTS}/stub.py")));
+    }
+    if args.bench {
+        return run_visibly(python.command(workspace).arg(format!("{TESTS}/overhead.py")));
+    }
     // A test build, also beside a wheel of the release: the bits are the same in every profile.
     let programs = workspace.programs(programs, false)?;
-    let python = if args.wheel { of_wheel(workspace)? } else { of_test_build(workspace)? };
-    if args.bench {
-        return run_visibly(workspace.command(&python.interpreter).args([&format!("{TESTS}/overhead.py")]));
-    }
     test(workspace, &python, &programs, args.filter.as_deref())
 }
 
@@ -50,6 +57,15 @@ struct Python {
     interpreter: PathBuf,
     /// Folder of the package, if it is not installed.
     path: Option<PathBuf>,
+}
+
+impl Python {
+    /// The interpreter, which finds the package.
+    fn command(&self, workspace: &Workspace) -> Command {
+        let mut command = workspace.command(&self.interpreter);
+        command.envs(self.path.iter().map(|path| ("PYTHONPATH", path)));
+        command
+    }
 }
 
 /// The package in a folder, with the module from the build of all tests: same features, same profile, so only the module is built.

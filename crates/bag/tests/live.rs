@@ -127,6 +127,22 @@ fn until_received(sinks: &mut Sinks, viewer: &mut Viewer) {
     viewer.socket.get_ref().set_read_timeout(Some(Duration::from_secs(10))).unwrap();
 }
 
+/// A run with one line, and its first viewer.
+fn watched() -> (Sinks, Viewer) {
+    let mut sinks = sinks();
+    sinks.push(LINE, at(0), &text("first"));
+    let viewer = viewer(&sinks, &[LINE]);
+    (sinks, viewer)
+}
+
+fn wait_for_viewers(sinks: &Sinks, count: usize) {
+    let began = Instant::now();
+    while sinks.live().unwrap().viewers() != count {
+        assert!(began.elapsed() < Duration::from_secs(10), "{} viewers", sinks.live().unwrap().viewers());
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
 #[test]
 fn a_viewer_gets_what_describes_the_run_and_then_every_message_as_in_the_file() {
     let dir = tempfile::tempdir().unwrap();
@@ -184,9 +200,7 @@ fn pages_of_others_and_other_protocols_are_refused() {
 
 #[test]
 fn a_hostile_client_ends_its_own_connection_only() {
-    let mut sinks = sinks();
-    sinks.push(LINE, at(0), &text("first"));
-    let mut good = viewer(&sinks, &[LINE]);
+    let (mut sinks, mut good) = watched();
     until_received(&mut sinks, &mut good);
     let address = sinks.live().unwrap().address();
     for garbage in [&b"\x00\xff\x13\x37 garbage\r\n\r\n"[..], b"GET / HTTP/1.1\r\n\r\n", &[b'a'; 200_000]] {
@@ -246,41 +260,26 @@ fn a_client_that_says_nothing_or_little_is_disconnected() {
 /// It sends much, too, so that its requests wait when it no longer takes answers.
 #[test]
 fn a_client_that_asks_and_does_not_read_is_disconnected_and_takes_no_time() {
-    let mut sinks = sinks();
-    sinks.push(LINE, at(0), &text("first"));
-    let mut bad = viewer(&sinks, &[LINE]);
+    let (mut sinks, mut bad) = watched();
     let wrong: Vec<_> = (0..1000).map(|k| serde_json::json!({"id": k, "channelId": 99})).collect();
     let request = serde_json::json!({"op": "subscribe", "subscriptions": wrong}).to_string();
     let began = Instant::now();
     bad.socket.get_ref().set_write_timeout(Some(Duration::from_secs(10))).unwrap();
     while bad.socket.send(Message::text(request.clone())).is_ok() && began.elapsed() < Duration::from_secs(10) {}
-    let began = Instant::now();
-    while sinks.live().unwrap().viewers() > 0 && began.elapsed() < Duration::from_secs(10) {
-        std::thread::sleep(Duration::from_millis(10));
-    }
-    assert_eq!(sinks.live().unwrap().viewers(), 0);
+    wait_for_viewers(&sinks, 0);
     let mut good = viewer(&sinks, &[LINE]);
     until_received(&mut sinks, &mut good);
 }
 
 #[test]
 fn connections_too_many_are_closed_and_the_others_stay() {
-    let mut sinks = sinks();
-    sinks.push(LINE, at(0), &text("first"));
-    let mut good = viewer(&sinks, &[LINE]);
+    let (mut sinks, mut good) = watched();
     let address = sinks.live().unwrap().address();
     let many: Vec<TcpStream> = (0..100).map(|_| TcpStream::connect(address).unwrap()).collect();
-    let began = Instant::now();
-    while sinks.live().unwrap().viewers() < 16 && began.elapsed() < Duration::from_secs(5) {
-        std::thread::sleep(Duration::from_millis(10));
-    }
-    assert_eq!(sinks.live().unwrap().viewers(), 16);
+    wait_for_viewers(&sinks, 16);
     until_received(&mut sinks, &mut good);
     drop(many);
-    let began = Instant::now();
-    while sinks.live().unwrap().viewers() > 1 && began.elapsed() < Duration::from_secs(5) {
-        std::thread::sleep(Duration::from_millis(10));
-    }
+    wait_for_viewers(&sinks, 1);
     let mut later = viewer(&sinks, &[LINE]);
     until_received(&mut sinks, &mut later);
 }

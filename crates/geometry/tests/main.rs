@@ -5,5 +5,4 @@ mod frames_and_rigs;
 mod lens;
 mod lie_groups;
 mod maps;
-mod pinocchio;
 mod value_range;

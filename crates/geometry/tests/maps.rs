@@ -2,7 +2,6 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests may fail loudly, as tests do")]
 
 use nalgebra::{Point3, Vector2, Vector3};
-use pb3dp_geometry::frames::{CamLeft, CamRight};
 use pb3dp_geometry::maps::{RemapError, RemapTable};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, Rectification, RectificationError, StereoRig, so3};
 use proptest::prelude::*;
@@ -233,17 +232,6 @@ fn wrong_sizes_are_refused_and_leave_the_destination_alone() {
     let error = table.remap_rgb(&vec![0; 3 * 76800], SIZE, &mut destination).unwrap_err();
     assert_eq!(error, RemapError::Length { buffer: "destination", actual: 76800, expected: 3 * 76800 });
     assert!(destination.iter().all(|byte| *byte == 9));
-}
-
-#[test]
-fn pose_types_of_the_rectification_meet() {
-    let rectification = verged().rectify().unwrap();
-    let rect: Pose<CamRight, CamLeft> = *verged().cam_right_from_cam_left();
-    // cam_right_rect_from_cam_left_rect has no rotation.
-    let joined =
-        rectification.cam_right_rect_from_cam_right * rect * rectification.cam_left_rect_from_cam_left.inverse();
-    assert!(joined.rotation_angle_rad() < 1e-14);
-    assert!((joined.translation_m() - Vector3::new(-verged().baseline_m(), 0.0, 0.0)).norm() < 1e-15);
 }
 
 fn inside(pixel: &Vector2<f64>, size: ImageSize) -> bool {

@@ -41,24 +41,6 @@ fn stands_straight_up_at_zero() {
 }
 
 #[test]
-fn planar_golden_vector() {
-    let q = JointVector::from([0.0, 0.5, 0.0, 1.0, 0.0, 0.6, 0.0]);
-    let rotation = Matrix3::new(-0.504846105, 0.0, 0.863209367, 0.0, 1.0, 0.0, -0.863209367, 0.0, -0.504846105);
-    for (urdf, expected) in [(GEN1, [0.783545735, 0.0, 0.704893065]), (GEN2, [0.754963742, 0.0, 0.710526782])] {
-        let pose = chain(urdf).forward(&q);
-        check_position(&pose, expected, 9);
-        check_rotation(&pose, rotation);
-    }
-}
-
-#[test]
-fn standard_pose_golden_vector() {
-    let q = JointVector::from([45.0, 30.0, 0.0, 60.0, 0.0, 45.0, 0.0]).map(f64::to_radians);
-    check_position(&chain(GEN1).forward(&q), [0.552652416, 0.552652416, 0.648142889], 9);
-    check_position(&chain(GEN2).forward(&q), [0.533510281, 0.533510281, 0.657213957], 9);
-}
-
-#[test]
 fn all_joints_golden_vector() {
     let q = JointVector::from([0.1, -0.2, 0.3, -0.4, 0.5, -0.6, 0.7]);
     let rotation = Matrix3::new(
@@ -121,9 +103,9 @@ fn forms_along_a_path_stay_those_of_single_poses() {
     }
 }
 
-// NumPy's LAPACK on Pinocchio's Jacobian of the same pose: linalg.svd, linalg.pinv.
+// NumPy's LAPACK on Pinocchio's Jacobian of the same pose: linalg.svd.
 #[test]
-fn singular_values_and_inverse_agree_with_lapack() {
+fn singular_values_agree_with_lapack() {
     let jacobian = chain(GEN1).jacobian(&asymmetric());
     let expected =
         [1.837164885047219, 1.676413313584634, 1.3382970959964, 0.52031134672461, 0.361465261030518, 0.22452459317521];
@@ -131,30 +113,6 @@ fn singular_values_and_inverse_agree_with_lapack() {
     assert!((values - nalgebra::Vector6::from(expected)).amax() < 1e-13, "{values}");
     assert!((smallest_singular_value(&jacobian) - 0.22452459317521).abs() < 1e-13);
     assert!((manipulability(&jacobian) - 0.17405061134131775).abs() < 1e-13);
-
-    let undamped_here = Damping::new(0.2, 0.05).unwrap();
-    let inverse = damped_pseudo_inverse(&jacobian, &undamped_here);
-    let first_row = [
-        0.451583895703403,
-        -2.539463026048778,
-        -0.179000467630945,
-        0.256953720116202,
-        0.197852753211376,
-        -0.144146024934848,
-    ];
-    let last_row = [
-        1.487937560064534,
-        -0.363966083724738,
-        -0.129848519194639,
-        0.136487670164414,
-        0.0662923734643,
-        -0.994225664253945,
-    ];
-    for (row, expected) in [(0, first_row), (6, last_row)] {
-        for (column, value) in expected.into_iter().enumerate() {
-            assert!((inverse[(row, column)] - value).abs() < 1e-12, "row {row}, column {column}: {inverse}");
-        }
-    }
 }
 
 #[test]
@@ -259,6 +217,9 @@ proptest! {
         if smallest_singular_value(&jacobian) > threshold {
             let off = (jacobian * inverse - SMatrix::<f64, 6, 6>::identity()).amax();
             prop_assert!(off < 1e-12, "off by {off}");
+            // Of all inverses the one of Moore and Penrose, which moves the joints least.
+            let projection = inverse * jacobian;
+            prop_assert!((projection - projection.transpose()).amax() < 1e-12, "{projection}");
         }
         // The largest singular value of the inverse, from that of its transpose.
         let gain = singular_values(&inverse.transpose())[0];

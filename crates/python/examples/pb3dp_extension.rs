@@ -6,4 +6,6 @@
 mod package;
 
 // The modules name each other by these paths.
-use package::{arrays, errors, estimate, estimator, images, region, rig, run_step, settings, track, wording};
+use package::{
+    arrays, errors, estimate, estimator, images, named_tuples, region, rig, run_step, settings, track, wording,
+};

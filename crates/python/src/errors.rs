@@ -10,7 +10,7 @@ pyo3::create_exception!(
     pb3dp,
     Error,
     PyException,
-    "An input that cannot be used, or a failure.\n\nThe text is that of the program, with the arguments of this package in the place of options: the thing, its value, the remedy. `code` is the code of the message, such as\n`PB3DP-EST-002`, or None; `pb3dp explain CODE` prints cause and remedy."
+    "An input that cannot be used, or a failure.\n\nThe text is that of the program, with the arguments of this package in the place of options: the thing, its value, the remedy. `code` is the\ncode of the message, such as `PB3DP-EST-002`, or None; `pb3dp explain CODE` prints cause and remedy."
 );
 
 /// Errors become exceptions with the code that the program prints and with its text, in which arguments of Python replace options.

@@ -90,7 +90,7 @@ impl Estimate {
         self.z_m
     }
 
-    /// Unit normal of the plane in `cam_left`, towards the camera, or None.
+    /// Unit normal of the plane in `cam_left`, 3 numbers, towards the camera, or None.
     #[getter]
     fn normal<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray1<f64>>> {
         self.estimate.normal_in_cam_left().map(|normal: Vector3<f64>| arrays::vector(py, normal.as_slice()))
@@ -108,7 +108,7 @@ impl Estimate {
         self.cam_left_from_model.map(|pose| arrays::vector(py, pose.translation_m().as_slice()))
     }
 
-    /// Rotation of `cam_left_from_model` as unit quaternion x, y, z, w, or None.
+    /// Rotation of `cam_left_from_model` as unit quaternion, 4 numbers x, y, z, w, or None.
     #[getter]
     fn quaternion_xyzw<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray1<f64>>> {
         self.cam_left_from_model.map(|pose| arrays::vector(py, &arrays::quaternion_xyzw(&pose)))
@@ -135,7 +135,7 @@ impl Estimate {
         arrays::covariance(py, self.calibration_covariance.as_ref())
     }
 
-    /// Whether the images determine x, y, z and the turns about them (axes of `model`), or None if the method does not tell.
+    /// Whether the images determine x, y, z and the turns about them (axes of `model`), 6 values, or None if the method does not tell.
     #[getter]
     fn observed(&self) -> Option<[bool; 6]> {
         self.estimate.observed
@@ -159,7 +159,7 @@ impl Estimate {
         self.estimate.normal_sigma_rad
     }
 
-    /// The point of the left image on whose ray the depth is given, pixels.
+    /// The point of the left image on whose ray the depth is given: column and row, pixels.
     #[getter]
     fn centroid_px(&self) -> (f64, f64) {
         (self.centroid_px.x, self.centroid_px.y)
@@ -171,13 +171,13 @@ impl Estimate {
         self.estimate.row_offset_px
     }
 
-    /// CPU time from the images in memory to the pose, milliseconds.
+    /// CPU time from the images in memory to the pose, seconds.
     #[getter]
-    fn cpu_ms(&self) -> f64 {
-        self.cpu_millis
+    fn cpu_s(&self) -> f64 {
+        self.cpu_millis * 1e-3
     }
 
-    /// The line that `pb3dp estimate --json` prints, in millimetres; `case` is the name in it.
+    /// The line that `pb3dp estimate --json` prints, in millimetres and milliseconds; `case` is the name in it.
     #[pyo3(signature = (case=""))]
     fn to_json(&self, py: Python<'_>, case: &str) -> PyResult<String> {
         let place = (self.centroid_px, self.z_m);

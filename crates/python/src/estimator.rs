@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 
 use anyhow::{Context, Result};
 use nalgebra::{Matrix6, Vector2};
-use numpy::{PyArray1, PyArray2};
+use numpy::PyArray1;
 use pb3dp_cell::calibration_share::of_first;
 use pb3dp_estimation::calibration_term::CalibrationTerm;
 use pb3dp_estimation::estimator::{Estimator as Inner, Method};
@@ -23,7 +23,8 @@ use pyo3::prelude::*;
 use crate::arrays;
 use crate::errors::OrRaise;
 use crate::estimate::Estimate;
-use crate::images::{Given, with_views};
+use crate::images::{GivenPair, with_views};
+use crate::named_tuples::named_tuple;
 use crate::region::Region;
 use crate::rig::StereoRig;
 use crate::settings::{Asked, Settings};
@@ -33,8 +34,14 @@ pub const SWAP: &str = "swap left and right";
 
 /// Estimates the pose of a region in single stereo pairs.
 ///
-/// Every pair is compared with the calibration, as in the program: what its rows show is corrected, and if they contradict it, the status is
-/// `miscalibrated`.
+/// `rig`: the calibrated cameras. `method`: `direct` or `published`. `z_range_m`: the nearest and the farthest depth to search, metres; by
+/// default those with disparities of 35 to 5 % of the width. `tilt_max_rad`: the largest tilt to search, radians; default 60 degrees. `config`:
+/// a TOML file with all parameters of the methods. `seed`: of the search of the published method. `value_range`: the values that become black
+/// and white in images of uint16, such as (0, 4095) for 12 bits; measured on the first pair by default. Raises `Error` if an argument is out of
+/// its range.
+///
+/// Every pair is compared with the calibration, as in the program: a vertical misalignment of its rows is corrected, and if the rows contradict
+/// the calibration, the status is `miscalibrated`.
 /// An estimator can be used by several threads; its calls wait for each other.
 #[pyclass(frozen, module = "pb3dp")]
 pub struct Estimator {
@@ -77,8 +84,8 @@ impl Estimator {
     ) -> PyResult<T> {
         let region = Region::of(region).or_raise(py)?.get();
         let [left, right] = images;
-        let given = Given::of("left", left).and_then(|left| Ok([left, Given::of("right", right)?])).or_raise(py)?;
-        let pixels = given[0].pixels("left").and_then(|left| Ok([left, given[1].pixels("right")?])).or_raise(py)?;
+        let given = GivenPair::of(left, right).or_raise(py)?;
+        let pixels = given.pixels().or_raise(py)?;
         let done = py.detach(|| {
             let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
             let mut range = state.value_range;
@@ -106,18 +113,8 @@ impl Estimator {
     }
 }
 
-/// Positions, standard deviations, colours, and whether they are measured, of points.
-type Visible<'py> =
-    (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray2<u8>>, Bound<'py, PyArray1<bool>>);
-
 #[pymethods]
 impl Estimator {
-    /// An estimator for a rig.
-    ///
-    /// `method`: `direct` or `published`. `z_range_m`: the nearest and the farthest depth to search, metres; by default those with disparities
-    /// of 35 to 5 % of the width. `tilt_max_rad`: the largest tilt to search, radians; default 60 degrees. `config`: a TOML file with all
-    /// parameters of the methods. `seed`: of the search of the published method. `value_range`: the values that become black and white in
-    /// images of uint16, such as (0, 4095) for 12 bits; measured on the first pair by default.
     #[new]
     #[pyo3(signature = (rig, method="direct", *, z_range_m=None, tilt_max_rad=None, config=None, seed=None, value_range=None))]
     #[allow(clippy::too_many_arguments, reason = "keywords of Python")]
@@ -152,9 +149,12 @@ impl Estimator {
     ///
     /// `left` and `right`: the raw images, as the cameras delivered them; height x width x 3 in the order red, green, blue, or height x width,
     /// of uint8 or uint16. Images are used where they are, also parts of larger images, if the values of a row are beside each other; others
-    /// are copied. Do not write to them before the call returns. `centroid_px`: the point of the left image on whose ray the depth is given;
-    /// by default the centroid of the region. `deadline_ms`: after this CPU time the best estimate so far is returned, with a warning.
-    #[pyo3(signature = (left, right, region, *, centroid_px=None, deadline_ms=None))]
+    /// are copied. Do not write to them before the call returns. `region`: the object in the left image. `centroid_px`: the point of the left
+    /// image on whose ray the depth is given, pixels; by default the centroid of the region. `deadline_s`: after this CPU time, seconds, the
+    /// best estimate so far is returned, with a warning.
+    ///
+    /// A pose that cannot be determined is a status of the result. Raises `Error` if the images or the region cannot be used.
+    #[pyo3(signature = (left, right, region, *, centroid_px=None, deadline_s=None))]
     fn estimate(
         &self,
         py: Python<'_>,
@@ -162,11 +162,11 @@ impl Estimator {
         right: &Bound<'_, PyAny>,
         region: &Bound<'_, PyAny>,
         centroid_px: Option<[f64; 2]>,
-        deadline_ms: Option<f64>,
+        deadline_s: Option<f64>,
     ) -> PyResult<Estimate> {
         self.on_pair(py, [left, right], region, |state, left, right, region, warning| {
             let (estimate, millis) = timed(|| {
-                let mut may_continue = within(deadline_ms);
+                let mut may_continue = within(deadline_s.map(|seconds| seconds * 1e3));
                 let request = EstimateRequest::new_target(left, right, region, &self.range);
                 state.inner.estimate(request.until(&mut may_continue))
             });
@@ -178,37 +178,38 @@ impl Estimator {
         })
     }
 
-    /// The visible surface of a region, pixel by pixel, for objects that are no plane: positions in `cam_left` N x 3 in metres, standard
-    /// deviations along the rays of the pixels N in metres, colours N x 3, and whether the pixel has a match of its own in the right image;
-    /// others have a depth of their neighbours. Errors of neighbours are not independent. Empty for the published method. If too few pixels
-    /// have a match, it raises `PB3DP-EST-012`: the depth range or the calibration is wrong. `left`, `right` and `region` as for `estimate`.
+    /// The visible surface of a region, pixel by pixel, for objects that are no plane: a `VisibleSurface` of N points in `cam_left`, metres.
+    ///
+    /// `left`, `right` and `region` as for `estimate`. Errors of neighbours are not independent. Empty for the published method. Raises `Error`
+    /// as `estimate` does, with the code `PB3DP-EST-012` if too few pixels have a match: the depth range or the calibration is wrong.
     fn visible_surface<'py>(
         &self,
         py: Python<'py>,
         left: &Bound<'py, PyAny>,
         right: &Bound<'py, PyAny>,
         region: &Bound<'py, PyAny>,
-    ) -> PyResult<Visible<'py>> {
+    ) -> PyResult<Bound<'py, PyAny>> {
         let points = self.on_pair(py, [left, right], region, |state, left, right, region, _| {
             Ok(state.inner.visible_surface(&EstimateRequest::new_target(left, right, region, &self.range))?)
         })?;
         let positions = points.iter().flat_map(|point| <[f64; 3]>::from(point.position_in_cam_left_m.coords));
         let sigmas: Vec<f64> = points.iter().map(|point| point.sigma_m).collect();
-        Ok((
+        let fields = (
             arrays::matrix(py, 3, positions.collect())?,
             arrays::vector(py, &sigmas),
             arrays::colours(py, points.iter().map(|point| point.rgb))?,
             PyArray1::from_iter(py, points.iter().map(|point| point.is_measured)),
-        ))
+        );
+        named_tuple(py, "VisibleSurface", fields)
     }
 
-    /// The method.
+    /// The method: `direct` or `published`.
     #[getter]
     fn method(&self) -> &'static str {
         self.method.name()
     }
 
-    /// The depths that are searched, metres.
+    /// The nearest and the farthest depth that are searched, metres.
     #[getter]
     fn z_range_m(&self) -> (f64, f64) {
         (self.range.z_min_m, self.range.z_max_m)

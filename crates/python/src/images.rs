@@ -15,7 +15,7 @@ use pyo3::types::PyString;
 use crate::errors::{OrRaise, of_type};
 
 /// An image argument.
-pub struct Given<'py> {
+struct Given<'py> {
     shape: Shape,
     values: GivenValues<'py>,
 }
@@ -23,6 +23,27 @@ pub struct Given<'py> {
 enum GivenValues<'py> {
     Bytes(Memory<'py, u8>),
     Deep(Memory<'py, u16>),
+}
+
+/// The images of a pair.
+pub struct GivenPair<'py>([Given<'py>; 2]);
+
+impl<'py> GivenPair<'py> {
+    /// The arguments `left` and `right`.
+    ///
+    /// # Errors
+    /// Those of [`Given::of`].
+    pub fn of(left: &Bound<'py, PyAny>, right: &Bound<'py, PyAny>) -> Result<Self> {
+        Ok(Self([Given::of("left", left)?, Given::of("right", right)?]))
+    }
+
+    /// Their pixels.
+    ///
+    /// # Errors
+    /// Never: the memory was checked.
+    pub fn pixels(&self) -> Result<[GivenPixels<'_>; 2]> {
+        Ok([self.0[0].pixels("left")?, self.0[1].pixels("right")?])
+    }
 }
 
 /// An array without gaps, and the position of the first pixel of the image in it.
@@ -58,7 +79,7 @@ impl<'py> Given<'py> {
     ///
     /// # Errors
     /// Another type or shape, with the name of the argument.
-    pub fn of(name: &str, given: &Bound<'py, PyAny>) -> Result<Self> {
+    fn of(name: &str, given: &Bound<'py, PyAny>) -> Result<Self> {
         if let Ok(array) = given.cast::<PyArrayDyn<u8>>() {
             let (shape, memory) = memory(name, array)?;
             return Ok(Self { shape, values: GivenValues::Bytes(memory) });
@@ -77,11 +98,7 @@ impl<'py> Given<'py> {
         bail!("{name} is an array of {}: {remedy}", array.dtype())
     }
 
-    /// Its pixels.
-    ///
-    /// # Errors
-    /// Never: the memory was checked.
-    pub fn pixels(&self, name: &str) -> Result<GivenPixels<'_>> {
+    fn pixels(&self, name: &str) -> Result<GivenPixels<'_>> {
         let values = match &self.values {
             GivenValues::Bytes(memory) => memory.values().map(Values::Bytes),
             GivenValues::Deep(memory) => memory.values().map(Values::Deep),
@@ -230,8 +247,8 @@ pub fn array_of(py: Python<'_>, image: RgbImage) -> PyResult<Bound<'_, PyAny>> {
 
 /// Reads an image file as the program does: PNG, JPEG, TIFF, BMP, PGM, PPM or WebP.
 ///
-/// Returns an array of height x width x 3, uint8, in the order red, green, blue. Files with 16 bits per channel give uint16, height x width
-/// if they are grey.
+/// Returns an array of height x width x 3, uint8, in the order red, green, blue. A file with 16 bits per channel gives uint16; a grey one of
+/// 16 bits gives height x width. Raises `Error` if the file at `path` cannot be read.
 #[pyfunction]
 pub fn read_image(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyAny>> {
     match py.detach(|| StoredImage::load(&path)).or_raise(py)? {

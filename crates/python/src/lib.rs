@@ -2,14 +2,15 @@
 //! numpy.
 //!
 //! This crate only translates: all work is done by the crates that the program uses, so both give the same bits. Lengths are metres, angles
-//! radians, frames those of docs/frames.md. Calls that compute release the lock of the interpreter. No real arm and no real camera can be
-//! reached.
+//! radians, times seconds, frames those of docs/frames.md. Calls that compute release the lock of the interpreter. No real arm and no real
+//! camera can be reached.
 
 pub(crate) mod arrays;
 pub(crate) mod errors;
 pub(crate) mod estimate;
 pub(crate) mod estimator;
 pub(crate) mod images;
+pub(crate) mod named_tuples;
 pub(crate) mod recorded_run;
 pub(crate) mod recording;
 pub(crate) mod region;

@@ -14,7 +14,8 @@ use crate::run_step::numbered;
 
 /// Estimates and control steps of a run that `pb3dp run --record FILE.mcap` has recorded, as arrays.
 ///
-/// Times are seconds since the first control step. What is not known is NaN. Images are in `Recording`.
+/// `path`: the file, which may have been broken off. Times are seconds since the first control step. Unknown numbers are NaN. Images are in
+/// `Recording`. Raises `Error` if the file is no recorded run.
 #[pyclass(frozen, module = "pb3dp")]
 pub struct RecordedRun {
     series: RunSeries,
@@ -66,7 +67,6 @@ fn seconds(py: Python<'_>, nanos: impl Iterator<Item = i64>) -> Bound<'_, PyArra
 
 #[pymethods]
 impl RecordedRun {
-    /// Reads a recorded run, also one that was broken off.
     #[new]
     fn new(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         Ok(Self { series: py.detach(|| RunSeries::read(&path)).or_raise(py)? })
@@ -78,37 +78,37 @@ impl RecordedRun {
         seconds(py, self.series.estimates.iter().map(|estimate| estimate.at_nanos))
     }
 
-    /// Status of each estimate.
+    /// Status of each of the N estimates, as in `TrackEstimate.status`.
     #[getter]
     fn statuses(&self) -> Vec<&str> {
         self.series.estimates.iter().map(|estimate| estimate.status.as_str()).collect()
     }
 
-    /// What led to each status.
+    /// What led to each of the N statuses.
     #[getter]
     fn reasons(&self) -> Vec<&str> {
         self.series.estimates.iter().map(|estimate| estimate.reason.as_str()).collect()
     }
 
-    /// Estimated poses: N x 4 x 4, metres.
+    /// Estimated poses: N x 4 x 4, each maps coordinates in `model` to `cam_left`, translation in metres.
     #[getter]
     fn cam_left_from_model<'py>(&self, py: Python<'py>) -> Matrices<'py> {
         self.of_estimates(py, |estimate| estimate.cam_left_from_model.as_ref())
     }
 
-    /// Their covariances: N x 6 x 6, as in `TrackEstimate.covariance`.
+    /// Covariances of the estimated poses: N x 6 x 6, as in `TrackEstimate.covariance`.
     #[getter]
     fn covariances<'py>(&self, py: Python<'py>) -> Matrices<'py> {
         self.covariances_of(py, |estimate| estimate.covariance.as_ref())
     }
 
-    /// The same with those of the first poses: N x 6 x 6, as in `TrackEstimate.pose_covariance`.
+    /// Covariances against the visible surface: N x 6 x 6, as in `TrackEstimate.pose_covariance`.
     #[getter]
     fn pose_covariances<'py>(&self, py: Python<'py>) -> Matrices<'py> {
         self.covariances_of(py, |estimate| estimate.pose_covariance.as_ref())
     }
 
-    /// True poses of the target in simulation: N x 4 x 4, metres.
+    /// True poses of the target in simulation: N x 4 x 4, each maps coordinates in `target` to `cam_left`, translation in metres.
     #[getter]
     fn cam_left_from_target<'py>(&self, py: Python<'py>) -> Matrices<'py> {
         self.of_estimates(py, |estimate| estimate.cam_left_from_target.as_ref())
@@ -120,13 +120,13 @@ impl RecordedRun {
         seconds(py, self.series.steps.iter().map(|step| step.at_nanos))
     }
 
-    /// State of the supervisor in each step.
+    /// State of the supervisor in each of the M steps.
     #[getter]
     fn states(&self) -> Vec<&str> {
         self.series.steps.iter().map(|step| step.state.as_str()).collect()
     }
 
-    /// Mode of the controller in each step.
+    /// Mode of the controller in each of the M steps.
     #[getter]
     fn modes(&self) -> Vec<&str> {
         self.series.steps.iter().map(|step| step.mode.as_str()).collect()
@@ -144,13 +144,13 @@ impl RecordedRun {
         self.of_steps(py, |step| step.world_from_hand.as_ref())
     }
 
-    /// Pose of the target, as `world_from_hand`.
+    /// Pose of the target: M x 4 x 4, metres, as `world_from_hand`.
     #[getter]
     fn world_from_target<'py>(&self, py: Python<'py>) -> Matrices<'py> {
         self.of_steps(py, |step| step.world_from_target.as_ref())
     }
 
-    /// Measured joint angles of an arm: M x joints, radians. Arm 0 carries the cameras, arm 1 the target.
+    /// Measured joint angles of an arm: M x joints, radians. `arm`: 0 carries the cameras, 1 the target. Raises `IndexError` for another number.
     fn joints_rad<'py>(&self, py: Python<'py>, arm: usize) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let arm = numbered(arm)?;
         let measured = || self.series.steps.iter().map(|step| &step.joints_rad[arm]);

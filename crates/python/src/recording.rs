@@ -4,11 +4,10 @@ use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-use anyhow::{Result, anyhow, bail};
+use anyhow::{Result, bail};
 use numpy::{PyArray1, PyArray3, PyArrayMethods};
 use pb3dp_cell::search_range::range_of_dataset;
 use pb3dp_hal_api::{FramePair, StereoCamera};
-use pb3dp_record::value_range::ValueRange;
 use pb3dp_wiring::{
     CalibrationOptions, PairsPerSecond, Recording as Inner, RecordingOptions, ReplayPace, SkewMillis, Topics,
     wire_replay,
@@ -21,6 +20,7 @@ use crate::errors::{OrRaise, of_type};
 use crate::images::array_of;
 use crate::region::Region;
 use crate::rig::{StereoRig, stated};
+use crate::settings::{skew_of, value_range_of};
 use crate::wording::in_python;
 
 /// A replay does not wait for images: this time-out should never expire.
@@ -30,6 +30,13 @@ const PAIR_TIMEOUT: Duration = Duration::from_secs(10);
 ///
 /// `recording[i]` is the pair with number i, from 0; a damaged one raises `Error`. A loop gives all pairs in order, leaves out the damaged
 /// ones, and adds the reason to `warnings`.
+///
+/// `path`: the file or folder. `calibration`: a calibration file or a list of files, as in `StereoRig.load`, instead of that of the recording.
+/// `topics`: those of the left and the right images in an MCAP file; by default two that differ only in left and right. `pair_within_s`: the
+/// longest time between the images of a pair, seconds. `value_range`: the values that become black and white in images with 16 bits; measured on
+/// the first pair by default. `segment`: the part of an MCAP file whose `camera_info` changes, from 1 on. `skew_s`: middle of the right exposure
+/// minus middle of the left one in every pair, seconds. `rate_hz`: pairs per second, if the recording has no times. `calibration_unit`,
+/// `calibrated_size`, `lens` and `rectified` are those of `StereoRig.load`. Raises `Error` if the recording cannot be read.
 #[pyclass(frozen, module = "pb3dp")]
 pub struct Recording {
     state: Mutex<State>,
@@ -96,34 +103,27 @@ impl State {
 /// What a recording does not state itself.
 fn options(
     topics: Option<[String; 2]>,
-    pair_within_ms: f64,
+    pair_within_s: f64,
     (value_range, segment): (Option<(u16, u16)>, Option<usize>),
-    (skew_ms, rate_hz): (Option<f64>, Option<f64>),
+    (skew_s, rate_hz): (Option<f64>, Option<f64>),
     calibration: CalibrationOptions,
 ) -> Result<RecordingOptions> {
-    if let Some(skew_ms) = skew_ms.filter(|skew_ms| !(-SkewMillis::MAX..=SkewMillis::MAX).contains(skew_ms)) {
-        bail!("skew_ms is {skew_ms}: must be between -{0} and {0} milliseconds", SkewMillis::MAX);
-    }
     if let Some(rate_hz) = rate_hz.filter(|rate_hz| !(0.01..=10_000.0).contains(rate_hz)) {
         bail!("rate_hz is {rate_hz}: must be between 0.01 and 10000 pairs per second");
     }
-    if !(0.0..=1000.0).contains(&pair_within_ms) {
-        bail!("pair_within_ms is {pair_within_ms}: must be between 0 and 1000 milliseconds");
+    if !(0.0..=1.0).contains(&pair_within_s) {
+        bail!("pair_within_s is {pair_within_s}: must be between 0 and 1 second");
     }
     if segment == Some(0) {
         bail!("segment is 0: must be a number from 1 on");
     }
-    let of_values = |(low, high)| {
-        ValueRange::new(low, high)
-            .ok_or_else(|| anyhow!("value_range is ({low}, {high}): the first value must be less than the second"))
-    };
     Ok(RecordingOptions {
         topics: topics.map(Topics),
-        pair_within: Duration::from_secs_f64(pair_within_ms * 1e-3),
-        range: value_range.map(of_values).transpose()?,
+        pair_within: Duration::from_secs_f64(pair_within_s),
+        range: value_range_of(value_range)?,
         segment,
         layout: None,
-        skew: skew_ms.map(SkewMillis),
+        skew: skew_of(skew_s)?.map(|seconds| SkewMillis(seconds * 1e3)),
         rate: rate_hz.map(PairsPerSecond),
         calibration,
     })
@@ -138,25 +138,18 @@ impl Recording {
 
 #[pymethods]
 impl Recording {
-    /// Opens a recording.
-    ///
-    /// `calibration`: a calibration file or a list of files, as in `StereoRig.load`, instead of that of the recording. `topics`: those of the left and the right
-    /// images in an MCAP file; by default two that differ only in left and right. `pair_within_ms`: the longest time between the images of a
-    /// pair. `value_range`: the values that become black and white in images with 16 bits; measured on the first pair by default.
-    /// `segment`: the part of an MCAP file whose `camera_info` changes, from 1 on. `skew_ms`: middle of the right exposure minus middle of the left one in every pair. `rate_hz`: pairs per second, if the recording has no
-    /// times. `calibration_unit`, `calibrated_size`, `lens` and `rectified` are those of `StereoRig.load`.
     #[new]
-    #[pyo3(signature = (path, *, calibration=None, topics=None, pair_within_ms=3.0, value_range=None, segment=None, skew_ms=None, rate_hz=None, calibration_unit=None, calibrated_size=None, lens=None, rectified=false))]
+    #[pyo3(signature = (path, *, calibration=None, topics=None, pair_within_s=0.003, value_range=None, segment=None, skew_s=None, rate_hz=None, calibration_unit=None, calibrated_size=None, lens=None, rectified=false))]
     #[expect(clippy::too_many_arguments, reason = "keywords of Python")]
     fn new(
         py: Python<'_>,
         path: PathBuf,
         calibration: Option<&Bound<'_, PyAny>>,
         topics: Option<[String; 2]>,
-        pair_within_ms: f64,
+        pair_within_s: f64,
         value_range: Option<(u16, u16)>,
         segment: Option<usize>,
-        skew_ms: Option<f64>,
+        skew_s: Option<f64>,
         rate_hz: Option<f64>,
         calibration_unit: Option<&str>,
         calibrated_size: Option<(u32, u32)>,
@@ -165,8 +158,7 @@ impl Recording {
     ) -> PyResult<Self> {
         let calibration = Calibration::files(calibration).or_raise(py)?;
         let stated = stated(calibration_unit, calibrated_size, lens, rectified).or_raise(py)?;
-        let options =
-            options(topics, pair_within_ms, (value_range, segment), (skew_ms, rate_hz), stated).or_raise(py)?;
+        let options = options(topics, pair_within_s, (value_range, segment), (skew_s, rate_hz), stated).or_raise(py)?;
         let opened = py.detach(|| wire_replay(&path, &calibration, &options, ReplayPace::Fast)).or_raise(py)?;
         let calibration = opened.camera.calibration().clone();
         let range = opened.search.as_ref().map(range_of_dataset);
@@ -191,7 +183,7 @@ impl Recording {
         self.rig.clone_ref(py)
     }
 
-    /// Middle of the left exposure of each pair, seconds on the clock of the recording.
+    /// Middle of the left exposure of each of the N pairs, seconds on the clock of the recording.
     #[getter]
     fn times_s<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
         arrays::vector(py, &self.times_s)
@@ -203,7 +195,7 @@ impl Recording {
         self.region_px.as_deref().map(Region::of_polygon)
     }
 
-    /// The depths to search that the recording states, metres, or None.
+    /// The nearest and the farthest depth to search that the recording states, metres, or None.
     #[getter]
     fn z_range_m(&self) -> Option<(f64, f64)> {
         self.z_range_m
@@ -296,7 +288,7 @@ pub struct Pair {
     index: usize,
     t_s: f64,
     time_ns: u64,
-    skew_ns: i64,
+    skew_s: f64,
     left: Py<PyAny>,
     right: Py<PyAny>,
 }
@@ -307,7 +299,7 @@ impl Pair {
             index,
             t_s,
             time_ns: pair.exposed_at.as_nanos(),
-            skew_ns: pair.skew_nanos,
+            skew_s: pair.skew_nanos as f64 * 1e-9,
             left: array_of(py, pair.left)?.unbind(),
             right: array_of(py, pair.right)?.unbind(),
         })
@@ -328,16 +320,16 @@ impl Pair {
         self.t_s
     }
 
-    /// Middle of the left exposure, nanoseconds; for `Tracker.track`.
+    /// Middle of the left exposure, whole nanoseconds on the clock of the recording, for `Tracker.track`: exact, as seconds in a float are not.
     #[getter]
     fn time_ns(&self) -> u64 {
         self.time_ns
     }
 
-    /// Middle of the right exposure minus middle of the left one, nanoseconds.
+    /// Middle of the right exposure minus middle of the left one, seconds.
     #[getter]
-    fn skew_ns(&self) -> i64 {
-        self.skew_ns
+    fn skew_s(&self) -> f64 {
+        self.skew_s
     }
 
     /// The raw left image, height x width x 3, uint8, in the order red, green, blue.

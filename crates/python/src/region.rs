@@ -66,13 +66,14 @@ impl Region {
 
 #[pymethods]
 impl Region {
-    /// A region in the notation of the program: `rect:X,Y,WIDTH,HEIGHT`, `poly:X1,Y1;X2,Y2;X3,Y3`, `mask:FILE` or `click:X,Y`, pixels.
+    /// A region from a `text` in the notation of the program: `rect:X,Y,WIDTH,HEIGHT`, `poly:X1,Y1;X2,Y2;X3,Y3`, `mask:FILE` or `click:X,Y`,
+    /// pixels. Raises `Error` for another text.
     #[staticmethod]
     fn parse(py: Python<'_>, text: &str) -> PyResult<Self> {
         Self::parsed(py, text)
     }
 
-    /// A rectangle: its first column and row, its width and its height, pixels.
+    /// A rectangle: its first column `x` and row `y`, its `width` and `height`, pixels. Raises `Error` if it has no area.
     #[staticmethod]
     fn rectangle(py: Python<'_>, x: f64, y: f64, width: f64, height: f64) -> PyResult<Self> {
         if width <= 0.0 || height <= 0.0 {
@@ -83,27 +84,28 @@ impl Region {
         Self::parsed(py, &format!("rect:{x},{y},{width},{height}"))
     }
 
-    /// A polygon with at least three corners: an array of N x 2, pixels.
+    /// A polygon: `corners` is an array of N x 2, column and row, pixels. Raises `Error` for less than three corners.
     #[staticmethod]
     fn polygon(py: Python<'_>, corners: Vec<[f64; 2]>) -> PyResult<Self> {
         let corners: Vec<String> = corners.iter().map(|[u, v]| format!("{u},{v}")).collect();
         Self::parsed(py, &format!("poly:{}", corners.join(";")))
     }
 
-    /// A region grown from one pixel over its colour: column and row, pixels.
+    /// A region grown from one pixel over its colour: column `x` and row `y`, pixels. Raises `Error` for numbers that are not finite.
     #[staticmethod]
     fn click(py: Python<'_>, x: f64, y: f64) -> PyResult<Self> {
         Self::parsed(py, &format!("click:{x},{y}"))
     }
 
-    /// The pixels that are True, or not 0: an array of height x width, bool or uint8, with the size of the left image.
+    /// The pixels that are True, or not 0: `mask` is an array of height x width, bool or uint8, with the size of the left image. Raises `Error`
+    /// for another type or shape, and for a mask without pixels.
     #[staticmethod]
     fn mask(py: Python<'_>, mask: &Bound<'_, PyAny>) -> PyResult<Self> {
         let image = mask_image(mask).and_then(|image| region_of_mask("mask", image));
         Ok(Self { marked: Mark::Region(image.or_raise(py)?) })
     }
 
-    /// The corners of a rectangle or a polygon: N x 2, pixels; None for masks and clicks.
+    /// The corners of a rectangle or a polygon: N x 2, column and row, pixels; None for masks and clicks.
     #[getter]
     fn corners_px<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
         let corners = match &self.marked {

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::anyhow;
 use nalgebra::Point3;
-use numpy::{PyArray1, PyArray2, PyReadonlyArray2};
+use numpy::{PyArray2, PyReadonlyArray2};
 use pb3dp_cell::calibration_share::{not_reported, term_of};
 use pb3dp_cell::lens_reading::decide_lens;
 use pb3dp_estimation::calibration_term::CalibrationTerm;
@@ -15,7 +15,8 @@ use pyo3::prelude::*;
 
 use crate::arrays;
 use crate::errors::OrRaise;
-use crate::images::{Given, with_views};
+use crate::images::{GivenPair, with_views};
+use crate::named_tuples::named_tuple;
 use crate::wording::in_python;
 
 /// A calibrated pair of cameras.
@@ -74,19 +75,16 @@ pub fn stated(
     })
 }
 
-/// Names and covariance of numbers.
-type NamedCovariance<'py> = (Vec<String>, Bound<'py, PyArray2<f64>>);
-
 #[pymethods]
 impl StereoRig {
-    /// Loads a calibration: the file of `pb3dp calibrate`, `calib.json`, a Kalibr camchain, an OpenCV stereo YAML or its two files, two ROS
-    /// `camera_info` files (left, right), or a folder that contains them. The format is detected from the contents.
+    /// Loads a calibration from `paths`: the file of `pb3dp calibrate`, `calib.json`, a Kalibr camchain, an OpenCV stereo YAML or its two files,
+    /// two ROS `camera_info` files (left, right), or a folder that contains them. The format is detected from the contents.
     ///
     /// For files that leave something unstated: `image_size` is (width, height) of the images in pixels; `calibration_unit` the unit of length of
     /// an OpenCV file, "mm", "cm" or "m"; `calibrated_size` the (width, height) that the calibration was made with, from which it is scaled to
-    /// `image_size`; `lens` the model of four coefficients, "brown" or "equidistant". `rectified=True`: the images are rectified already.
+    /// `image_size`; `lens` the model of four coefficients, "brown" or "equidistant". `rectified`: whether the images are rectified already.
     /// `images`: a left and a right image of these cameras, as in `Estimator.estimate`; they give `image_size`, and decide the lens model as in
-    /// the program.
+    /// the program. Raises `Error` if a file cannot be read, or leaves something unstated that no argument states.
     #[staticmethod]
     #[pyo3(signature = (*paths, image_size=None, calibration_unit=None, calibrated_size=None, lens=None, rectified=false, images=None))]
     #[allow(clippy::too_many_arguments, reason = "keywords of Python")]
@@ -106,8 +104,8 @@ impl StereoRig {
             let loaded = py.detach(|| load_stated(&paths, size, &stated)?.decided());
             return Ok(Self::new(loaded.or_raise(py)?));
         };
-        let given = Given::of("left", &left).and_then(|left| Ok([left, Given::of("right", &right)?])).or_raise(py)?;
-        let pixels = given[0].pixels("left").and_then(|left| Ok([left, given[1].pixels("right")?])).or_raise(py)?;
+        let given = GivenPair::of(&left, &right).or_raise(py)?;
+        let pixels = given.pixels().or_raise(py)?;
         let loaded = py.detach(|| {
             with_views(pixels, &mut None, |left, right| {
                 let size = size.unwrap_or(ImageSize { width: left.width(), height: left.height() });
@@ -117,7 +115,7 @@ impl StereoRig {
         Ok(Self::new(loaded.or_raise(py)?))
     }
 
-    /// Width and height of the left image, pixels.
+    /// Width and height of the images, pixels.
     #[getter]
     fn image_size(&self) -> (u32, u32) {
         let size = self.rig().left().size();
@@ -142,26 +140,26 @@ impl StereoRig {
         camera_matrix(py, self.rig().right())
     }
 
-    /// Lens of the left camera: `none`, `plumb_bob`, `rational_polynomial` or `equidistant`, and its coefficients in the order of OpenCV.
+    /// Lens of the left camera: a `Distortion`, its model and its coefficients.
     #[getter]
-    fn left_distortion<'py>(&self, py: Python<'py>) -> (&'static str, Bound<'py, PyArray1<f64>>) {
+    fn left_distortion<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         distortion(py, self.rig().left())
     }
 
     /// Lens of the right camera, as `left_distortion`.
     #[getter]
-    fn right_distortion<'py>(&self, py: Python<'py>) -> (&'static str, Bound<'py, PyArray1<f64>>) {
+    fn right_distortion<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         distortion(py, self.rig().right())
     }
 
-    /// Pose of the left camera in the right one: 4x4, translation in metres.
+    /// Pose of the left camera in the right one: 4x4, maps coordinates in `cam_left` to `cam_right`, translation in metres.
     #[getter]
     fn cam_right_from_cam_left<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         arrays::pose(py, self.rig().cam_right_from_cam_left())
     }
 
-    /// Projects points into the raw left image, with the distortion of the lens: N x 3 in `cam_left`, metres, to N x 2, pixels. Points that the
-    /// camera cannot see give NaN.
+    /// Projects points into the raw left image, with the distortion of the lens: `points_in_cam_left`, N x 3, metres, to N x 2, pixels. Points
+    /// that the camera cannot see give NaN. Raises `Error` for another shape.
     fn project_left<'py>(
         &self,
         py: Python<'py>,
@@ -181,16 +179,17 @@ impl StereoRig {
         arrays::matrix(py, 2, projected.collect())
     }
 
-    /// Names and covariance of the numbers of the calibration, or None: `left.fx` (pixels), `right.k1`, and `cam_right_from_cam_left.x_m` to
-    /// `rz_rad`; N names and N x N. TOML files of `pb3dp calibrate stereo` state it; estimates then have `calibration_covariance`.
+    /// Covariance of the N numbers of the calibration with their names, a `NamedCovariance`, or None: `left.fx` (pixels), `right.k1`, and
+    /// `cam_right_from_cam_left.x_m` to `rz_rad`. TOML files of `pb3dp calibrate stereo` state it; estimates then have
+    /// `calibration_covariance`.
     #[getter]
-    fn calibration_covariance<'py>(&self, py: Python<'py>) -> PyResult<Option<NamedCovariance<'py>>> {
+    fn calibration_covariance<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
         let Some(known) = self.calibration.judgement.as_ref().and_then(|judgement| judgement.covariance.as_ref())
         else {
             return Ok(None);
         };
         let matrix = arrays::matrix(py, known.names.len().max(1), known.rows.concat())?;
-        Ok(Some((known.names.clone(), matrix)))
+        named_tuple(py, "NamedCovariance", (known.names.clone(), matrix)).map(Some)
     }
 
     /// The format of the file, in words.
@@ -229,7 +228,7 @@ fn camera_matrix<'py>(py: Python<'py>, camera: &Camera) -> PyResult<Bound<'py, P
     arrays::matrix(py, 3, (0..9).map(|k| m[(k / 3, k % 3)]).collect())
 }
 
-fn distortion<'py>(py: Python<'py>, camera: &Camera) -> (&'static str, Bound<'py, PyArray1<f64>>) {
+fn distortion<'py>(py: Python<'py>, camera: &Camera) -> PyResult<Bound<'py, PyAny>> {
     let lens = camera.distortion();
     let name = match lens {
         Distortion::None => "none",
@@ -237,5 +236,5 @@ fn distortion<'py>(py: Python<'py>, camera: &Camera) -> (&'static str, Bound<'py
         Distortion::BrownConrady8 { .. } => "rational_polynomial",
         Distortion::Equidistant { .. } => "equidistant",
     };
-    (name, arrays::vector(py, lens.coefficients()))
+    named_tuple(py, "Distortion", (name, arrays::vector(py, lens.coefficients())))
 }

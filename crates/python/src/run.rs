@@ -20,6 +20,10 @@ use crate::run_step::RunStep;
 
 /// A run of the simulated cell, step by step: cameras, estimation, control and both arms in simulated time.
 ///
+/// `config`: a TOML file or a built-in setup, such as `sim`; or several, of which later ones override. `settings`: single keys, such as
+/// `{"scene.target": "card", "experiment.target": "pushed"}`. `seed`: of all random numbers. `stop_after_s`: the end, seconds. Raises `Error`
+/// if the setup cannot be used.
+///
 /// The run is that of `pb3dp run` with the same setup and seed, to the bit, as long as nothing is changed from outside. Only simulated arms
 /// and cameras can be used: a setup with others is refused. A `for` loop gives all steps; leaving a `with` block ends the run.
 #[pyclass(frozen, module = "pb3dp")]
@@ -37,10 +41,6 @@ impl Run {
 
 #[pymethods]
 impl Run {
-    /// Starts a run.
-    ///
-    /// `config`: a TOML file or a built-in setup, such as `sim`; or several, of which later ones override. `settings`: single keys, such as
-    /// `{"scene.target": "card", "experiment.target": "pushed"}`. `seed`: of all random numbers. `stop_after_s`: the end, seconds.
     #[new]
     #[pyo3(signature = (config=Configs::One("sim".into()), *, settings=None, seed=None, stop_after_s=None))]
     fn new(
@@ -57,13 +57,13 @@ impl Run {
         started.or_raise(py)
     }
 
-    /// The next control step, or None after the last one.
+    /// The next control step, or None after the last one. Raises `Error` if the run fails.
     fn step(&self, py: Python<'_>) -> PyResult<Option<RunStep>> {
         self.with(py, SteppedRun::step)?.map(|step| RunStep::new(py, step)).transpose()
     }
 
-    /// Moves the desired pose of the hand: 4x4, in axes of the hand as the setup states it, translation in metres. It holds from the next step
-    /// on, until it is moved again.
+    /// Moves the desired pose of the hand by `hand_from_hand_shifted`: 4x4, in axes of the hand as the setup states it, translation in metres.
+    /// It holds from the next step on, until it is moved again. Raises `Error` if the matrix is no pose.
     fn shift_hand(&self, py: Python<'_>, hand_from_hand_shifted: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
         let shifted = arrays::pose_of("hand_from_hand_shifted", &hand_from_hand_shifted).or_raise(py)?;
         self.with(py, |run| {
@@ -72,7 +72,8 @@ impl Run {
         })
     }
 
-    /// The share of the commanded velocity that the arm with the cameras gets from the next step on, 0 to 1.
+    /// Sets the share of the commanded velocity that the arm with the cameras gets from the next step on: `speed_share`, 0 to 1. Raises `Error`
+    /// for another number.
     fn set_speed_share(&self, py: Python<'_>, speed_share: f64) -> PyResult<()> {
         self.with(py, |run| {
             if !(0.0..=1.0).contains(&speed_share) {
@@ -83,8 +84,9 @@ impl Run {
         })
     }
 
-    /// Pushes the target to an offset from its start, along its axes there: x, y, z in metres (at most 0.12), and a turn about its z axis in
-    /// radians (at most 0.35). It moves there within half a second. Needs the setting `experiment.target = "pushed"`.
+    /// Pushes the target to an offset from its start, along its axes there: `x_m`, `y_m`, `z_m` in metres (at most 0.12), and `turn_rad` about
+    /// its z axis in radians (at most 0.35). It moves there within half a second; a larger offset is reduced to these limits. Raises
+    /// `Error` for numbers that are not finite, and without the setting `experiment.target = "pushed"`.
     #[pyo3(signature = (x_m=0.0, y_m=0.0, z_m=0.0, turn_rad=0.0))]
     fn push_target(&self, py: Python<'_>, x_m: f64, y_m: f64, z_m: f64, turn_rad: f64) -> PyResult<()> {
         self.with(py, |run| {
@@ -100,7 +102,7 @@ impl Run {
         self.with(py, |run| run.end().map(|_| ()))
     }
 
-    /// The method that estimates the pose.
+    /// The method that estimates the pose and leads the hand, such as `direct`.
     #[getter]
     fn method(&self) -> &'static str {
         self.method

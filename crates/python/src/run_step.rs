@@ -70,24 +70,26 @@ impl RunStep {
         self.step.moved.mode.to_string()
     }
 
-    /// Measured joint angles of an arm, radians.
+    /// Measured joint angles of an arm, one number for each joint, radians. `arm`: 0 carries the cameras, 1 the target. Raises `IndexError` for
+    /// another number.
     fn joints_rad<'py>(&self, py: Python<'py>, arm: usize) -> PyResult<Bound<'py, PyArray1<f64>>> {
         Ok(arrays::vector(py, self.step.moved.arms[numbered(arm)?].position_rad.as_slice()))
     }
 
-    /// Joint velocities that the controller requests of an arm, radians per second, or None if the arm shall hold.
+    /// Joint velocities that the controller requests of an arm, one number for each joint, radians per second, or None if the arm shall hold.
+    /// `arm` as for `joints_rad`.
     fn requested_rad_per_s<'py>(&self, py: Python<'py>, arm: usize) -> PyResult<Option<Bound<'py, PyArray1<f64>>>> {
         let requested = self.step.moved.arms[numbered(arm)?].requested_rad_per_s;
         Ok(requested.map(|velocity| arrays::vector(py, velocity.as_slice())))
     }
 
-    /// True pose of the hand: 4x4, metres, or None.
+    /// True pose of the hand: 4x4, maps coordinates in `hand` to `world`, translation in metres, or None.
     #[getter]
     fn world_from_hand<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
         arrays::pose_if_any(py, self.step.poses.map(|poses| poses.world_from_hand).as_ref())
     }
 
-    /// True pose of the target: 4x4, metres, or None.
+    /// True pose of the target: 4x4, maps coordinates in `target` to `world`, translation in metres, or None.
     #[getter]
     fn world_from_target<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
         arrays::pose_if_any(py, self.step.poses.map(|poses| poses.world_from_target).as_ref())
@@ -158,20 +160,20 @@ impl RunPair {
         self.estimates.captured.frame.sequence
     }
 
-    /// The estimate of the method that leads the hand. Its `cpu_ms` is the time on the wall.
+    /// The estimate of the method that leads the hand. Its `cpu_s` is the time on the wall.
     #[getter]
     fn estimate(&self) -> TrackEstimate {
         TrackEstimate::new(self.estimates.estimate.clone(), self.estimates.latency_millis)
     }
 
-    /// True pose of the target at the exposure: 4x4, metres, or None.
+    /// True pose of the target at the exposure: 4x4, maps coordinates in `target` to `cam_left`, translation in metres, or None.
     #[getter]
     fn cam_left_from_target<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
         let truth: Option<&Pose<CamLeft, Target>> = self.estimates.captured.cam_left_from_target.as_ref();
         arrays::pose_if_any(py, truth)
     }
 
-    /// The rendered left image, height x width x 3, uint8; None in a run without images. A copy.
+    /// The rendered left image, height x width x 3, uint8, in the order red, green, blue; None in a run without images. A copy.
     #[getter]
     fn left<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
         self.images().map(|pair| array_of(py, pair.left.clone())).transpose()

@@ -9,6 +9,7 @@ use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_geometry::StereoRig;
 use pb3dp_record::value_range::ValueRange;
 use pb3dp_setup::estimator::estimator_config;
+use pb3dp_wiring::SkewMillis;
 
 /// A range whose nearest depth has less disparity is given in other units, pixels.
 const DISPARITY_MIN_PX: f64 = 1.0;
@@ -51,16 +52,39 @@ impl Settings {
                  for a depth; give metres, not millimetres"
             );
         }
-        let of_values = |(low, high)| {
-            ValueRange::new(low, high).with_context(|| {
-                format!("value_range is ({low}, {high}): the first value must be less than the second")
-            })
-        };
         Ok(Self {
             method: Method::from_name(asked.method)?,
             range,
             config: estimator_config(asked.config.as_deref(), asked.seed)?,
-            value_range: asked.value_range.map(of_values).transpose()?,
+            value_range: value_range_of(asked.value_range)?,
         })
+    }
+}
+
+/// The argument `value_range`.
+///
+/// # Errors
+/// An empty range.
+pub fn value_range_of(given: Option<(u16, u16)>) -> Result<Option<ValueRange>> {
+    given
+        .map(|(low, high)| {
+            ValueRange::new(low, high).with_context(|| {
+                format!("value_range is ({low}, {high}): the first value must be less than the second")
+            })
+        })
+        .transpose()
+}
+
+/// The argument `skew_s`, seconds.
+///
+/// # Errors
+/// More than the program accepts, or not a number.
+pub fn skew_of(given_s: Option<f64>) -> Result<Option<f64>> {
+    let max_s = SkewMillis::MAX * 1e-3;
+    match given_s {
+        Some(skew_s) if !(-max_s..=max_s).contains(&skew_s) => {
+            bail!("skew_s is {skew_s}: must be between -{max_s} and {max_s} seconds")
+        }
+        _ => Ok(given_s),
     }
 }

@@ -70,7 +70,7 @@ impl TrackEstimate {
         self.estimate.cam_left_from_model.map(|pose| arrays::vector(py, pose.translation_m().as_slice()))
     }
 
-    /// Rotation of `cam_left_from_model` as unit quaternion x, y, z, w, or None.
+    /// Rotation of `cam_left_from_model` as unit quaternion, 4 numbers x, y, z, w, or None.
     #[getter]
     fn quaternion_xyzw<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyArray1<f64>>> {
         self.estimate.cam_left_from_model.map(|pose| arrays::vector(py, &arrays::quaternion_xyzw(&pose)))
@@ -90,25 +90,25 @@ impl TrackEstimate {
         arrays::covariance(py, self.estimate.first_pose_covariance.as_ref())
     }
 
-    /// The sum: covariance of the pose against the visible surface, 6x6 as `covariance`, or None.
+    /// Covariance of the pose against the visible surface, 6x6 as `covariance`, or None: the sum of `covariance` and `first_pose_covariance`.
     #[getter]
     fn pose_covariance<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
         arrays::covariance(py, self.estimate.pose_covariance.as_ref())
     }
 
-    /// The visible surface beside `model`, as the frames so far show it: 4x4, metres, or None. `model` itself never moves.
+    /// Pose of the visible surface in `model`, as the frames so far show it: 4x4, metres, or None. `model` itself never moves.
     #[getter]
     fn surface_from_model<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
         arrays::pose_if_any(py, self.estimate.surface.as_ref().map(|surface| &surface.surface_from_model))
     }
 
-    /// Covariance of `surface` against the visible surface, 6x6 as `covariance`, or None.
+    /// Covariance of `surface_from_model` against the visible surface, 6x6 as `covariance`, or None.
     #[getter]
     fn surface_covariance<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
         arrays::covariance(py, self.estimate.surface.as_ref().map(|surface| &surface.covariance))
     }
 
-    /// Number of frames that have improved `surface`, or None; 0: it is `model`.
+    /// Number of frames that have improved `surface_from_model`, or None; 0: it is the identity.
     #[getter]
     fn surface_version(&self) -> Option<u32> {
         self.estimate.surface.map(|surface| surface.version)
@@ -121,14 +121,14 @@ impl TrackEstimate {
         arrays::covariance(py, self.estimate.calibration.as_ref().map(|share| &share.pose))
     }
 
-    /// The same for the motion since the first pose of the target, not contained in `covariance`: zero there, and small while the target is near
-    /// it.
+    /// The share of the calibration in the motion since the first pose of the target, 6x6, not contained in `covariance`, or None: zero at the
+    /// first pose, and small while the target is near it.
     #[getter]
     fn calibration_covariance_of_motion<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
         arrays::covariance(py, self.estimate.calibration.as_ref().map(|share| &share.motion))
     }
 
-    /// Whether the images determine x, y, z and the turns about them (axes of `model`), or None if the method does not tell.
+    /// Whether the images determine x, y, z and the turns about them (axes of `model`), 6 values, or None if the method does not tell.
     #[getter]
     fn observed(&self) -> Option<[bool; 6]> {
         self.estimate.observed
@@ -147,13 +147,13 @@ impl TrackEstimate {
         arrays::matrix(py, 2, numbers.collect())
     }
 
-    /// CPU time from the images in memory to the pose, milliseconds.
+    /// CPU time from the images in memory to the pose, seconds.
     #[getter]
-    fn cpu_ms(&self) -> f64 {
-        self.cpu_millis
+    fn cpu_s(&self) -> f64 {
+        self.cpu_millis * 1e-3
     }
 
-    /// The line that `pb3dp track --json` prints, in millimetres; `frame` is the number in it, and `t_s` the time, seconds.
+    /// The line that `pb3dp track --json` prints, in millimetres and milliseconds; `frame` is the number in it, and `t_s` the time, seconds.
     #[pyo3(signature = (frame=0, t_s=0.0))]
     fn to_json(&self, py: Python<'_>, frame: usize, t_s: f64) -> PyResult<String> {
         let line = TrackLine::of(frame, t_s, &self.estimate, self.cpu_millis);

@@ -4,6 +4,7 @@
 
 use std::fs;
 
+use crate::check_changes;
 use nalgebra::Vector3;
 use pb3dp_geometry::{Pose, so3};
 use pb3dp_record::stops::{
@@ -52,7 +53,7 @@ fn mistakes_are_named_with_their_keys() {
     save_stops(folder.path(), &stops()).unwrap();
     let file = folder.path().join(STOPS_FILE);
     let good = fs::read_to_string(&file).unwrap();
-    for (from, to, named) in [
+    let changes = [
         ("pb3dp stops 1", "pb3dp stops 9", "format: is \"pb3dp stops 9\""),
         ("joints_rad = [0.1, ", "joints_rad = [", "stop[0].vs.joints_rad: has 6 numbers, 7 are needed"),
         ("left/000001.png", "../000001.png", "stop[1].left: must be a file in or below this folder"),
@@ -60,11 +61,11 @@ fn mistakes_are_named_with_their_keys() {
         ("rotation_wxyz = [", "rotation_wxyz = [2.0, ", "stop[0].vs.base_from_flange.rotation_wxyz: has 5 numbers"),
         ("[stop.tc]", "[stop.arm]", "stop[0].arm: unknown key"),
         ("left = \"left/000000.png\"", "", "stop[0].left: is missing"),
-    ] {
-        let bad = good.replacen(from, to, 1);
-        assert_ne!(bad, good, "{from}");
-        fs::write(&file, bad).unwrap();
-        let text = load_stops(folder.path()).unwrap_err().to_string();
-        assert!(text.contains(named) && text.contains(STOPS_FILE), "{text}");
-    }
+    ];
+    check_changes(&good, &changes, |text| {
+        fs::write(&file, text).unwrap();
+        let error = load_stops(folder.path()).unwrap_err().to_string();
+        assert!(error.contains(STOPS_FILE), "{error}");
+        error
+    });
 }

@@ -360,6 +360,23 @@ mod tests {
         Pose::from_parts(Vector3::new(0.1, -0.0, 0.5), turn)
     }
 
+    fn observed_target() -> Percept {
+        let at = MonotonicTime::from_nanos(1_234_567_891);
+        let covariance = Matrix6::from_fn(|i, j| 1e-7 / (1.0 + i as f64 + 3.0 * j as f64));
+        Percept {
+            frame: FrameInput { sequence: 7, at, skew_s: -1e-5 },
+            estimate: EstimateInput { at, confidence: Confidence::Doubtful, covariance: Some(covariance), target: 3 },
+            observation: Some(TargetObservation {
+                at,
+                cam_left_from_model: awkward(),
+                trusted: true,
+                covariance: Some(covariance.transpose()),
+                observed: [true, false, true, true, false, true],
+            }),
+            surface_from_model: Some(awkward().relabel()),
+        }
+    }
+
     fn bits(numbers: &[f64]) -> Vec<u64> {
         numbers.iter().map(|number| number.to_bits()).collect()
     }
@@ -374,20 +391,7 @@ mod tests {
 
     #[test]
     fn a_result_of_a_pair_returns_to_the_last_bit() {
-        let at = MonotonicTime::from_nanos(1_234_567_891);
-        let covariance = Matrix6::from_fn(|i, j| 1e-7 / (1.0 + i as f64 + 3.0 * j as f64));
-        let observed_target = Percept {
-            frame: FrameInput { sequence: 7, at, skew_s: -1e-5 },
-            estimate: EstimateInput { at, confidence: Confidence::Doubtful, covariance: Some(covariance), target: 3 },
-            observation: Some(TargetObservation {
-                at,
-                cam_left_from_model: awkward(),
-                trusted: true,
-                covariance: Some(covariance.transpose()),
-                observed: [true, false, true, true, false, true],
-            }),
-            surface_from_model: Some(awkward().relabel()),
-        };
+        let observed_target = observed_target();
         let noted = |observed_target: &Percept| {
             let mut step = ControlStep::default();
             note_percept(&mut step, observed_target);
@@ -408,20 +412,8 @@ mod tests {
     /// A field that was added in the middle of a step once made every older recording unreadable.
     #[test]
     fn a_step_of_a_version_before_is_read() {
-        let at = MonotonicTime::from_nanos(5);
-        let observation = TargetObservation {
-            at,
-            cam_left_from_model: awkward(),
-            trusted: true,
-            covariance: None,
-            observed: [true, true, true, true, true, false],
-        };
-        let observed_target = Percept {
-            frame: FrameInput { sequence: 7, at, skew_s: 0.0 },
-            estimate: EstimateInput { at, confidence: Confidence::Sure, covariance: None, target: 3 },
-            observation: Some(observation),
-            surface_from_model: None,
-        };
+        let mut observed_target = Percept { surface_from_model: None, ..observed_target() };
+        observed_target.observation.as_mut().unwrap().observed = [true, true, true, true, true, false];
         let mut step = ControlStep { world_from_target: vec![0.5; 7], ..ControlStep::default() };
         note_percept(&mut step, &observed_target);
         step.observed_directions = Later(Vec::new());

@@ -180,8 +180,8 @@ fn every_number_of_arms_behind_lines_is_refused_by_its_own_key() {
 #[test]
 fn every_number_of_a_truth_and_of_calibrations_is_refused_by_its_own_key() {
     let mut sample = Sample::new("bare.toml", |file| read_setup(file).map(drop));
-    put(&mut sample.table, "camera", "calibration", vec!["calibration/nominal.json"]);
-    put(&mut sample.table, "camera", "calibration_age_max_days", 30.0);
+    change_lines(&mut sample.table, "camera.calibration = [\"calibration/nominal.json\"]");
+    change_lines(&mut sample.table, "camera.calibration_age_max_days = 30.0");
     check_every_key(&sample, "camera.", 240);
     check_every_key(&sample, "truth.", 240);
 }
@@ -194,164 +194,151 @@ fn every_number_of_the_published_law_is_refused_by_its_own_key() {
 #[test]
 fn every_number_of_real_cameras_is_refused_by_its_own_key() {
     let mut sample = Sample::new("rig.toml", |file| read_setup(file).map(drop));
-    let left = sample.table["camera"]["left"].as_table_mut().unwrap();
-    left.extend([("input".into(), Value::Integer(2)), ("stated_exposure_millis".into(), Value::Float(3.5))]);
+    change_lines(&mut sample.table, "camera.left.input = 2\ncamera.left.stated_exposure_millis = 3.5");
     // On a first run not every speed that is allowed elsewhere is.
-    put(&mut sample.table, "arms", "first_run", false);
+    change_lines(&mut sample.table, "arms.first_run = false");
     for arm in ["vs", "tc"] {
-        let arm = sample.table["arms"][arm].as_table_mut().unwrap();
-        arm["backend"] = "emulated".into();
-        arm["gateway"].as_table_mut().unwrap().retain(|key, _| !["port", "baud"].contains(&key));
+        change_lines(&mut sample.table, &format!("arms.{arm}.backend = \"emulated\""));
+        for key in ["port", "baud"] {
+            change_lines(&mut sample.table, &format!("-arms.{arm}.gateway.{key}"));
+        }
     }
     check_every_key(&sample, "camera.", 220);
     check_every_key(&sample, "arms.", 220);
     check_every_key(&sample, "supervisor.", 220);
 }
 
-type Change = fn(&mut Table);
+fn check_refused(sample: &Sample, expected: &str) {
+    let text = sample.refusal_of(&[]).unwrap_or_else(|| panic!("accepted: {expected}"));
+    assert!(text.contains(expected), "{expected} is not in {text}");
+}
 
-/// What is in a file of the repository is refused after a change, with these words.
-fn check_refusals<const N: usize>(changes: [(&'static str, Change, &str); N]) {
-    for (name, change, expected) in changes {
+/// What is in a file of the repository is refused after a change, with the words beside it. A change is further lines of TOML, or `-` and the
+/// key to remove.
+fn check_lines(rows: &[(&'static str, &str, &str)]) {
+    for &(name, lines, expected) in rows {
         let mut sample = Sample::new(name, |file| read_setup(file).map(drop));
-        change(&mut sample.table);
-        let text = sample.refusal("run.seed", Value::Integer(1)).unwrap_or_else(|| panic!("accepted: {expected}"));
-        assert!(text.contains(expected), "{expected} is not in {text}");
+        change_lines(&mut sample.table, lines);
+        check_refused(&sample, expected);
+    }
+}
+
+fn change_lines(root: &mut Table, lines: &str) {
+    fn merge(into: &mut Table, from: Table) {
+        for (key, value) in from {
+            match (into.get_mut(&key), value) {
+                (Some(Value::Table(inner)), Value::Table(changed)) => merge(inner, changed),
+                (_, value) => drop(into.insert(key, value)),
+            }
+        }
+    }
+    match lines.strip_prefix('-') {
+        Some(key) => {
+            let (tables, last) = key.rsplit_once('.').unwrap_or(("", key));
+            let table = tables
+                .split('.')
+                .filter(|name| !name.is_empty())
+                .fold(root, |table, name| table[name].as_table_mut().unwrap());
+            assert!(table.remove(last).is_some(), "{key}");
+        }
+        None => merge(root, lines.parse().unwrap()),
     }
 }
 
 /// What is calibrated or truly elsewhere stands in one place only, and in files that fit.
 #[test]
 fn calibrations_and_truths_that_do_not_fit_are_refused() {
-    check_refusals([
+    let truth = format!("truth = {}", table("bare.toml")["truth"]);
+    check_lines(&[
+        ("rig.toml", &truth, "truth: with camera.backend = \"v4l2\" nobody knows it"),
+        ("bare.toml", "truth.calibration = [\"no.json\"]", "truth.calibration: "),
+        ("bare.toml", "camera.width_px = 320", "truth.calibration: "),
         (
             "rig.toml",
-            |root| drop(root.insert("truth".into(), table("bare.toml")["truth"].clone())),
-            "truth: with camera.backend = \"v4l2\" nobody knows it",
-        ),
-        ("bare.toml", |root| put(root, "truth", "calibration", vec!["no.json"]), "truth.calibration: "),
-        ("bare.toml", |root| put(root, "camera", "width_px", 320), "truth.calibration: "),
-        (
-            "rig.toml",
-            |root| put(root, "camera", "waived_gates", vec!["rows until 2027-01-31"]),
+            "camera.waived_gates = [\"rows until 2027-01-31\"]",
             "camera.waived_gates: \"rows\" is no gate of",
         ),
-        (
-            "rig.toml",
-            |root| put(root, "camera", "waived_gates", vec!["age"]),
-            "camera.waived_gates: \"age\" has no last day",
-        ),
-        ("sim.toml", |root| put(root, "mounts", "hand_eye", "hand_eye.toml"), "both are set"),
-        (
-            "sim.toml",
-            |root| {
-                let mounts = root["mounts"].as_table_mut().unwrap();
-                mounts.remove("hand_from_cam_left");
-                mounts.insert("hand_eye".into(), "hand_eye.toml".into());
-            },
-            "mounts.hand_eye: ",
-        ),
+        ("rig.toml", "camera.waived_gates = [\"age\"]", "camera.waived_gates: \"age\" has no last day"),
+        ("sim.toml", "mounts.hand_eye = \"hand_eye.toml\"", "both are set"),
     ]);
+    let mut elsewhere = Sample::new("sim.toml", |file| read_setup(file).map(drop));
+    change_lines(&mut elsewhere.table, "-mounts.hand_from_cam_left");
+    change_lines(&mut elsewhere.table, "mounts.hand_eye = \"hand_eye.toml\"");
+    check_refused(&elsewhere, "mounts.hand_eye: ");
 }
 
 /// Each backend of the cameras has keys of its own, and what goes with it.
 #[test]
 fn keys_of_other_cameras_are_refused_with_key_and_backend() {
-    let changes: [(&'static str, Change, &str); 16] = [
-        ("rig.toml", |root| put(root, "camera", "focal_px", 740.0), "camera.focal_px: unknown key"),
-        ("rig.toml", |root| put(root, "camera", "focal_px", 740.0), "(with camera.backend = \"v4l2\")"),
-        ("sim.toml", |root| put(root, "camera", "format", "YUYV"), "(with camera.backend = \"sim\")"),
-        ("sim.toml", |root| drop(root.remove("scene")), "scene: missing; camera.backend = \"sim\""),
+    let sim = table("sim.toml");
+    let scene = format!("scene = {}", sim["scene"]);
+    let geometric = format!("estimator.geometric = {}", sim["estimator"]["geometric"]);
+    check_lines(&[
+        ("rig.toml", "camera.focal_px = 740.0", "camera.focal_px: unknown key"),
+        ("rig.toml", "camera.focal_px = 740.0", "(with camera.backend = \"v4l2\")"),
+        ("sim.toml", "camera.format = \"YUYV\"", "(with camera.backend = \"sim\")"),
+        ("sim.toml", "-scene", "scene: missing; camera.backend = \"sim\""),
+        ("rig.toml", &scene, "scene: camera.backend = \"v4l2\""),
+        ("rig.toml", "run.pace = \"fast\"", "run.pace: real cameras do not wait"),
+        ("rig.toml", "experiment.target = \"free\"", "experiment.target = \"free\": only a simulated target"),
+        ("rig.toml", &geometric, "estimator.geometric: with camera.backend = \"v4l2\""),
         (
             "rig.toml",
-            |root| drop(root.insert("scene".into(), table("sim.toml")["scene"].clone())),
-            "scene: camera.backend = \"v4l2\"",
-        ),
-        ("rig.toml", |root| put(root, "run", "pace", "fast"), "run.pace: real cameras do not wait"),
-        (
-            "rig.toml",
-            |root| put(root, "experiment", "target", "free"),
-            "experiment.target = \"free\": only a simulated target",
-        ),
-        (
-            "rig.toml",
-            |root| put(root, "estimator", "geometric", table("sim.toml")["estimator"]["geometric"].clone()),
-            "estimator.geometric: with camera.backend = \"v4l2\"",
-        ),
-        (
-            "rig.toml",
-            |root| put(root, "camera", "format", "H264"),
+            "camera.format = \"H264\"",
             "camera.format: \"H264\" is not a supported pixel format; use one of: YUYV, RGB3",
         ),
+        ("rig.toml", "camera.region = \"circle:3\"", "camera.region: region \"circle:3\" is not understood"),
         (
             "rig.toml",
-            |root| put(root, "camera", "region", "circle:3"),
-            "camera.region: region \"circle:3\" is not understood",
-        ),
-        (
-            "rig.toml",
-            |root| put(root, "camera", "region", "rect:600,400,100,50"),
+            "camera.region = \"rect:600,400,100,50\"",
             "camera.region: the corner 700,400 is outside of the left image, which has 640x480 pixels",
         ),
         (
             "rig.toml",
-            |root| put(root, "camera", "frame_rate_hz", 2.0),
+            "camera.frame_rate_hz = 2.0",
             "supervisor.policies.frame_stale.age_s = 0.25: allowed are 0.99 to 1",
         ),
-        ("rig.toml", |root| put(root, "camera", "calibration", vec!["no.yaml"]), "camera.calibration: "),
-        (
-            "rig.toml",
-            |root| put(root, "camera", "width_px", 320),
-            "is for images of 640x480, the cameras are asked for 320x480",
-        ),
-        (
-            "rig.toml",
-            |root| drop(root["camera"].as_table_mut().unwrap().remove("reopen_for_s")),
-            "camera.reopen_for_s: missing",
-        ),
-        ("rig.toml", |root| put(root, "camera", "backend", "usb"), "camera.backend"),
-    ];
-    check_refusals(changes);
+        ("rig.toml", "camera.calibration = [\"no.yaml\"]", "camera.calibration: "),
+        ("rig.toml", "camera.width_px = 320", "is for images of 640x480, the cameras are asked for 320x480"),
+        ("rig.toml", "-camera.reopen_for_s", "camera.reopen_for_s: missing"),
+        ("rig.toml", "camera.backend = \"usb\"", "camera.backend"),
+    ]);
 }
 
 /// Each camera has a device of its own, and says of each control who chooses.
 #[test]
 fn eyes_that_are_no_cameras_are_refused() {
-    let refusal = |key: &str, value: Value| {
+    let of_left = format!("camera.right.device = {}", table("rig.toml")["camera"]["left"]["device"]);
+    let twice = "camera.right.further_controls = [{ id = 0x98f901, value = -3 }, { id = 0x98f901, value = -3 }]";
+    check_lines(&[
+        ("rig.toml", &of_left, "camera.left.device is the same"),
+        (
+            "rig.toml",
+            "camera.right.device = \"the right one\"",
+            "camera.right.device: `the right one` is not a camera name",
+        ),
+        ("rig.toml", "camera.right.gain = \"much\"", "camera.right.gain"),
+        ("rig.toml", "camera.right.gain = \"much\"", "\"keep\""),
+        ("rig.toml", "camera.right.gain = 3.5", "camera.right.gain"),
+        ("rig.toml", "camera.right.gain = 3.5", "a whole one"),
+        ("rig.toml", "camera.right.gaim = 3", "camera.right.gaim: unknown key"),
+        ("rig.toml", twice, "further_controls[1].id = 10025217: further_controls[0] sets the same control"),
+        (
+            "rig.toml",
+            "camera.right.further_controls = [{ id = 1099511627776, value = 1 }]",
+            "camera.right.further_controls[0].id = 1099511627776: allowed are 1 to",
+        ),
+        (
+            "rig.toml",
+            "camera.right.exposure_millis = 50.0",
+            "camera.right.exposure_millis = 50: allowed are 0.1 to 33.3",
+        ),
+    ]);
+    for accepted in ["gain = \"keep\"", "gain = \"auto\"", "further_controls = [{ id = 0x98f901, value = -3 }]"] {
         let mut sample = Sample::new("rig.toml", |file| read_setup(file).map(drop));
-        sample.table["camera"]["right"].as_table_mut().unwrap().insert(key.to_owned(), value);
-        sample.refusal("run.seed", Value::Integer(1))
-    };
-    let of_left = table("rig.toml")["camera"]["left"]["device"].clone();
-    assert!(refusal("device", of_left).unwrap().contains("camera.left.device is the same"));
-    assert!(
-        refusal("device", "the right one".into())
-            .unwrap()
-            .contains("camera.right.device: `the right one` is not a camera name")
-    );
-    for word in ["keep", "auto"] {
-        assert_eq!(refusal("gain", word.into()), None);
+        change_lines(&mut sample.table, &format!("camera.right.{accepted}"));
+        assert_eq!(sample.refusal_of(&[]), None);
     }
-    let text = refusal("gain", "much".into()).unwrap();
-    assert!(text.contains("camera.right.gain") && text.contains("\"keep\""), "{text}");
-    assert!(refusal("gaim", Value::Integer(3)).unwrap().contains("camera.right.gaim: unknown key"));
-    let control: Table = [("id".to_owned(), Value::Integer(0x0098_f901)), ("value".to_owned(), Value::Integer(-3))]
-        .into_iter()
-        .collect();
-    assert_eq!(refusal("further_controls", Value::Array(vec![Value::Table(control.clone())])), None);
-    let text = refusal("further_controls", Value::Array(vec![Value::Table(control.clone()); 2])).unwrap();
-    assert!(text.contains("further_controls[1].id = 10025217: further_controls[0] sets the same control"), "{text}");
-    let text = refusal("exposure_millis", Value::Float(50.0)).unwrap();
-    assert!(text.contains("camera.right.exposure_millis = 50: allowed are 0.1 to 33.3"), "{text}");
-    let text = refusal("gain", Value::Float(3.5)).unwrap();
-    assert!(text.contains("camera.right.gain") && text.contains("a whole one"), "{text}");
-    let control = control.into_iter().map(|(key, _)| (key, Value::Integer(1 << 40))).collect();
-    let text = refusal("further_controls", Value::Array(vec![Value::Table(control)])).unwrap();
-    assert!(text.contains("camera.right.further_controls[0].id = 1099511627776: allowed are 1 to"), "{text}");
-}
-
-fn put(root: &mut Table, table: &str, key: &str, value: impl Into<Value>) {
-    root[table].as_table_mut().unwrap().insert(key.to_owned(), value.into());
 }
 
 fn table(name: &str) -> Table {
@@ -398,95 +385,66 @@ fn tables_that_do_not_fit_the_law_are_refused() {
 /// Laws for comparison, each with its own table beside the smoothing.
 #[test]
 fn every_number_of_the_laws_for_comparison_is_refused_by_its_own_key() {
-    let with_law = |law: &str, table: &str, numbers: &[(&str, f64)]| {
+    for (law, numbers) in [
+        ("law = \"image-based\"", "image_based = { gain_per_s = 4.0, half_width_mm = 50.0 }"),
+        ("law = \"hybrid\"", "hybrid = { gain_per_s = 4.0 }"),
+    ] {
         let mut sample = Sample::new("published.toml", |file| read_setup(file).map(drop));
-        let servo = sample.table["servo"].as_table_mut().unwrap();
-        servo.remove("gains");
-        servo["law"] = law.into();
-        let own: Table = numbers.iter().map(|(key, value)| ((*key).to_owned(), Value::Float(*value))).collect();
-        servo.insert(table.to_owned(), Value::Table(own));
-        sample
-    };
-    check_every_key(
-        &with_law("image-based", "image_based", &[("gain_per_s", 4.0), ("half_width_mm", 50.0)]),
-        "servo.",
-        218,
-    );
-    check_every_key(&with_law("hybrid", "hybrid", &[("gain_per_s", 4.0)]), "servo.", 217);
+        change_lines(&mut sample.table, "-servo.gains");
+        change_lines(&mut sample.table, &format!("[servo]\n{law}\n{numbers}"));
+        check_every_key(&sample, "servo.", 217);
+    }
 }
 
 /// A search is asked for twice, and off otherwise.
 #[test]
 fn a_search_needs_its_pattern_and_its_permission() {
     let mut sample = Sample::new("sim.toml", |file| read_setup(file).map(drop));
-    let numbers = [("back_mm", 30.0), ("radius_mm", 20.0), ("turns", 2.0), ("speed_mm_per_s", 20.0), ("time_s", 20.0)];
-    let search: Table = numbers.iter().map(|(key, value)| ((*key).to_owned(), Value::Float(*value))).collect();
-    sample.table["servo"].as_table_mut().unwrap().insert("search".to_owned(), Value::Table(search));
-    let text = sample.refusal("run.seed", Value::Integer(1)).unwrap();
-    assert!(text.contains("servo.search: no search is permitted without supervisor.search_max_s"), "{text}");
-    sample.table["supervisor"].as_table_mut().unwrap().insert("search_max_s".to_owned(), Value::Float(20.0));
-    assert_eq!(sample.refusal("run.seed", Value::Integer(1)), None);
+    let numbers = "back_mm = 30.0, radius_mm = 20.0, turns = 2.0, speed_mm_per_s = 20.0, time_s = 20.0";
+    change_lines(&mut sample.table, &format!("servo.search = {{ {numbers} }}"));
+    check_refused(&sample, "servo.search: no search is permitted without supervisor.search_max_s");
+    change_lines(&mut sample.table, "supervisor.search_max_s = 20.0");
+    assert_eq!(sample.refusal_of(&[]), None);
     check_every_key(&sample, "servo.search.", 220);
 }
 
 /// What a setup whose arms are behind lines refuses.
 #[test]
 fn ways_to_an_arm_that_do_not_fit_are_refused() {
-    let changes: [(Change, &str); 11] = [
+    let other = table("hil.toml")["arms"]["vs"]["robot"].as_str().unwrap().replace("gen2", "gen1");
+    let other = format!("arms.vs.robot = {other:?}");
+    let live = "run.pace = \"fast\"\n[arms.vs]\nbackend = \"tcp\"\n\
+        gateway = { address = \"127.0.0.1:4601\", key_file = \"arm.key\" }";
+    check_lines(&[
         (
-            |root| drop(arm(root)["gateway"].as_table_mut().unwrap().insert("certificate".into(), "arm.crt".into())),
+            "hil.toml",
+            "arms.vs.gateway.certificate = \"arm.crt\"",
             "\"emulated\" needs no port, baud, address, key_file or certificate: remove certificate",
         ),
         (
-            |root| {
-                let gateway = arm(root)["gateway"].as_table_mut().unwrap();
-                gateway.insert("port".into(), "/dev/ttyUSB0".into());
-                gateway.insert("baud".into(), 921_600.into());
-            },
+            "hil.toml",
+            "arms.vs.gateway = { port = \"/dev/ttyUSB0\", baud = 921600 }",
             "backend = \"emulated\" needs no port, baud, address, key_file or certificate: remove port and baud",
         ),
+        ("hil.toml", live, "(arms.vs.backend) needs pace = \"live\""),
+        ("hil.toml", "-arms.vs.gateway", "arms.vs.gateway: missing"),
+        ("hil.toml", "arms.vs.backend = \"mock\"", "arms.vs.gateway: an arm with backend = \"mock\" has none"),
+        ("hil.toml", "arms.vs.backend = \"serial\"", "\"serial\" needs port and baud: add port and baud"),
+        ("hil.toml", "arms.vs.backend = \"tcp\"", "\"tcp\" needs address and key_file: add address and key_file"),
+        ("hil.toml", "arms.vs.backend = \"usb\"", "arms.vs.backend"),
         (
-            |root| {
-                root["run"]["pace"] = "fast".into();
-                arm(root)["backend"] = "tcp".into();
-                let gateway = arm(root)["gateway"].as_table_mut().unwrap();
-                gateway.insert("address".into(), "127.0.0.1:4601".into());
-                gateway.insert("key_file".into(), "arm.key".into());
-            },
-            "(arms.vs.backend) needs pace = \"live\"",
-        ),
-        (|root| drop(arm(root).remove("gateway")), "arms.vs.gateway: missing"),
-        (|root| arm(root)["backend"] = "mock".into(), "arms.vs.gateway: an arm with backend = \"mock\" has none"),
-        (|root| arm(root)["backend"] = "serial".into(), "\"serial\" needs port and baud: add port and baud"),
-        (|root| arm(root)["backend"] = "tcp".into(), "\"tcp\" needs address and key_file: add address and key_file"),
-        (|root| arm(root)["backend"] = "usb".into(), "arms.vs.backend"),
-        (
-            |root| arm(root)["gateway"]["geometry"] = "first-generation".into(),
+            "hil.toml",
+            "arms.vs.gateway.geometry = \"first-generation\"",
             "arms.vs.gateway.geometry = \"first-generation\": such an arm has 315.0, 450.0, 500.0, 80.0 mm from base to shoulder, \
              elbow, wrist and flange, arms.vs.robot has 317.0, 450.0, 480.0, 70.0 mm; measure the arm",
         ),
-        (
-            |root| {
-                let robot = arm(root)["robot"].as_str().unwrap().replace("gen2", "gen1");
-                arm(root)["robot"] = robot.into();
-            },
-            "arms.vs.gateway.geometry = \"second-generation\"",
-        ),
-        (|root| arm(root)["backend"] = "arcnet".into(), "arms.vs.gateway: an arm with backend = \"arcnet\" has none"),
-    ];
-    for (change, expected) in changes {
-        let mut sample = Sample::new("hil.toml", |file| read_setup(file).map(drop));
-        change(&mut sample.table);
-        let text = sample.refusal("run.seed", Value::Integer(1)).unwrap_or_else(|| panic!("accepted: {expected}"));
-        assert!(text.contains(expected), "{text}");
-    }
+        ("hil.toml", &other, "arms.vs.gateway.geometry = \"second-generation\""),
+        ("hil.toml", "arms.vs.backend = \"arcnet\"", "arms.vs.gateway: an arm with backend = \"arcnet\" has none"),
+    ]);
     let mut sample = Sample::new("hil.toml", |file| read_setup(file).map(drop));
-    let serial = arm(&mut sample.table);
-    serial["backend"] = "serial".into();
-    let gateway = serial["gateway"].as_table_mut().unwrap();
-    gateway.insert("port".into(), "/dev/ttyUSB0".into());
-    gateway.insert("baud".into(), Value::Integer(921_600));
-    assert_eq!(sample.refusal("run.seed", Value::Integer(1)), None);
+    let serial = "backend = \"serial\"\ngateway = { port = \"/dev/ttyUSB0\", baud = 921600 }";
+    change_lines(&mut sample.table, &format!("[arms.vs]\n{serial}"));
+    assert_eq!(sample.refusal_of(&[]), None);
     let line = sample.line_about("arms.vs.gateway.baud", Value::Integer(300));
     assert_eq!(ends(&line), [9600.0, 12_000_000.0]);
     let text = sample.refusal("arms.vs.gateway.baud", Value::Integer(9600)).unwrap();
@@ -499,14 +457,10 @@ fn addresses_that_lead_nowhere_or_to_both_arms_are_refused() {
     let refusal = |vs: &str, tc: &str| {
         let mut sample = Sample::new("hil.toml", |file| read_setup(file).map(drop));
         for (name, address) in [("vs", vs), ("tc", tc)] {
-            let arm = sample.table["arms"][name].as_table_mut().unwrap();
-            arm["backend"] = "tcp".into();
-            let gateway = arm["gateway"].as_table_mut().unwrap();
-            gateway.insert("address".into(), address.into());
-            gateway.insert("key_file".into(), "arm.key".into());
-            gateway.insert("certificate".into(), "arm.crt".into());
+            let gateway = format!("{{ address = {address:?}, key_file = \"arm.key\", certificate = \"arm.crt\" }}");
+            change_lines(&mut sample.table, &format!("[arms.{name}]\nbackend = \"tcp\"\ngateway = {gateway}"));
         }
-        sample.refusal("run.seed", Value::Integer(1))
+        sample.refusal_of(&[])
     };
     assert_eq!(refusal("127.0.0.1:4601", "127.0.0.1:4602"), None);
     for wrong in ["localhost:4601", "127.0.0.1", "4601", ""] {
@@ -519,10 +473,6 @@ fn addresses_that_lead_nowhere_or_to_both_arms_are_refused() {
     assert!(text.contains(expected), "{text}");
 }
 
-fn arm(root: &mut Table) -> &mut Table {
-    root["arms"]["vs"].as_table_mut().unwrap()
-}
-
 #[test]
 fn every_number_of_the_estimator_is_refused_by_its_own_key() {
     check_every_key(&Sample::new("estimator.toml", |file| read_estimator(file).map(drop)), "", 75);
@@ -532,11 +482,9 @@ fn every_number_of_the_estimator_is_refused_by_its_own_key() {
 fn frames_that_are_far_apart_are_refused_by_length() {
     let mut sample = Sample::new("sim.toml", |file| read_setup(file).map(drop));
     // Each component is allowed, their length is not.
-    sample.table["mounts"]["flange_from_hand"]["translation_mm"] =
-        Value::Array([4000.0, -4000.0, 4000.0].map(Value::Float).to_vec());
-    let text = sample.refusal("run.seed", Value::Integer(1)).unwrap();
-    assert!(text.contains("mounts.flange_from_hand.translation_mm (its length) = 6928.2"), "{text}");
-    assert!(text.contains("allowed are 0 to 5000"), "{text}");
+    change_lines(&mut sample.table, "mounts.flange_from_hand.translation_mm = [4000.0, -4000.0, 4000.0]");
+    check_refused(&sample, "mounts.flange_from_hand.translation_mm (its length) = 6928.2");
+    check_refused(&sample, "allowed are 0 to 5000");
 }
 
 /// Tables whose parts declare the ranges, and the keys in them that no part checks.

@@ -16,11 +16,13 @@ use serde_json::json;
 
 use crate::support::{Client, Rig, TIMEOUT, setup};
 
-pub const EXPOSURE: u32 = 0x009A_0902;
+const EXPOSURE: u32 = 0x009A_0902;
+/// Answers about the controls of [`Cameras`].
+const CONTROLS_ANSWERS: &str = include_str!("../data/controls_answers.json");
 
 /// The owner of two cameras: a thread that answers between two pairs, as the capture thread of a run.
-pub struct Cameras {
-    pub desk: ControlDesk,
+struct Cameras {
+    desk: ControlDesk,
     /// Stops it from answering, as a camera whose driver hangs.
     is_hung: Arc<AtomicBool>,
     set: Arc<Mutex<Vec<(usize, u32, i32)>>>,
@@ -31,7 +33,7 @@ pub struct Cameras {
 }
 
 impl Cameras {
-    pub fn new() -> Self {
+    fn new() -> Self {
         let (desk, end) = control_desk();
         let [is_hung, is_over] = [(); 2].map(|()| Arc::new(AtomicBool::new(false)));
         let set = Arc::<Mutex<Vec<_>>>::default();
@@ -46,7 +48,7 @@ impl Cameras {
         Self { desk, is_hung, set, is_over, clock, thread: Some(thread) }
     }
 
-    pub fn rig(&self) -> Rig {
+    fn rig(&self) -> Rig {
         let rig = Rig::with(|config| config.cameras = Some(self.desk.clone()), true);
         assert!(self.clock.set(rig.clock.clone()).is_ok());
         rig
@@ -113,27 +115,23 @@ fn change(client: &Client, side: &str, value: i32) -> crate::support::client::Re
     client.post("controls", &json!({ "side": side, "id": EXPOSURE, "value": value }).to_string())
 }
 
+/// The answers are also those that the Python tests check against the schema.
 #[test]
 fn controls_are_listed_set_and_read_back() {
+    let expected: serde_json::Value = serde_json::from_str(CONTROLS_ANSWERS).unwrap();
     let cameras = Cameras::new();
     let rig = cameras.rig();
-    let before = rig.client().get("/api/controls").json();
-    assert_eq!((&before["may_change"], &before["why_not"]), (&json!(true), &json!(null)), "{before}");
-    let control = &before["cameras"][1]["controls"][0];
-    assert_eq!((&before["cameras"][1]["name"], &control["value"]), (&json!("bus:right"), &json!(40)));
-    assert_eq!((&control["unit"], &control["mode"]), (&json!({ "name": "ms", "factor": 0.1 }), &json!("manual")));
-    let reply = change(&rig.client(), "left", 20);
-    assert_eq!((reply.status, reply.code().as_str()), (403, "PB3DP-PAN-021"), "only the holder");
+    assert_eq!(rig.client().get("/api/controls").json(), expected["get"]);
+    // Only the holder.
+    change(&rig.client(), "left", 20).is_refused(403, "PB3DP-PAN-021");
     let client = rig.holder();
-    let reply = change(&client, "right", 55);
-    assert_eq!(reply.status, 200, "{}", reply.body);
-    let after = reply.json();
+    let after = change(&client, "right", 55).json();
     assert_eq!(after["line"], "right `Exposure Time, Absolute` is 55");
     let value = |answer: &serde_json::Value, side: usize| answer["cameras"][side]["controls"][0]["value"].clone();
     assert_eq!((value(&after, 0), value(&after, 1)), (json!(40), json!(55)));
     assert_eq!(value(&rig.client().get("/api/controls").json(), 1), 55, "everybody sees it");
     let reply = change(&client, "left", 9000);
-    assert_eq!((reply.status, reply.code().as_str()), (409, "PB3DP-PAN-041"));
+    reply.is_refused(409, "PB3DP-PAN-041");
     assert!(reply.body.contains("its range is 1 to 5000"), "{}", reply.body);
     for body in [
         json!({ "side": "middle", "id": 1, "value": 1 }),
@@ -148,6 +146,10 @@ fn controls_are_listed_set_and_read_back() {
     assert_eq!(client.post("controls", &long).status, 413);
     assert_eq!(client.request("DELETE", "/api/controls", "", "").status, 405);
     assert_eq!(cameras.set(), [(1, EXPOSURE, 55)], "what was refused did not reach a camera");
+    change(&client, "right", 40).is_accepted();
+    let body = json!({ "side": "left", "id": EXPOSURE, "value": 7 });
+    assert_eq!(client.command("controls", body).json(), expected["post"]);
+    assert_eq!(client.post("controls", r#"{"side":"left","id":1,"value":9000}"#).json(), expected["refused"]);
 }
 
 #[test]
@@ -159,8 +161,7 @@ fn no_control_changes_while_an_arm_may_move() {
     let shown = client.get("/api/controls").json();
     assert!(shown["may_change"] == false && shown["why_not"].as_str().unwrap().contains("use hold first"), "{shown}");
     assert_eq!(shown["cameras"][0]["controls"][0]["value"], 40, "the values are still shown");
-    let reply = change(&client, "left", 20);
-    assert_eq!((reply.status, reply.code().as_str()), (409, "PB3DP-PAN-042"), "{}", reply.body);
+    change(&client, "left", 20).is_refused(409, "PB3DP-PAN-042");
     assert_eq!((cameras.set(), rig.state()), (vec![], State::Approaching));
     assert_eq!(client.post("hold", "{}").status, 200);
     // Settling takes 0.2 s.
@@ -170,8 +171,7 @@ fn no_control_changes_while_an_arm_may_move() {
     }
     assert_eq!((rig.state(), change(&client, "left", 20).status), (State::Holding, 200));
     client.wait_for("ready", |state| state["state"]["is_ready"] == true && state["state"]["name"] == "holding");
-    let reply = client.post("resume", &json!({ "seen": client.shown_state() }).to_string());
-    assert_eq!(reply.status, 200, "{}", reply.body);
+    client.command("resume", json!({})).is_accepted();
     // The arm with the target goes on.
     assert_eq!(client.post("hold", r#"{"hand_only":true}"#).status, 200);
     assert_eq!(change(&client, "left", 30).code(), "PB3DP-PAN-042");
@@ -186,17 +186,14 @@ fn motion_begins_only_after_a_change_is_finished() {
     let cameras = Cameras::new();
     let rig = cameras.rig();
     let client = rig.holder();
-    let body = json!({ "region": "rect:200,150,120,90", "seen": client.shown_state() });
-    assert_eq!(client.post("select", &body.to_string()).status, 200);
-    client.wait_for("ready", |state| state["state"]["is_ready"] == true && state["target"]["id"] == 1);
+    rig.select(&client);
     cameras.is_hung.store(true, Ordering::SeqCst);
     std::thread::scope(|scope| {
         let changing = scope.spawn(|| change(&client, "left", 20));
         // The request needs a moment on its way.
-        let start = || client.post("start", &json!({ "seen": client.shown_state() }).to_string());
+        let start = || client.command("start", json!({}));
         std::thread::sleep(Duration::from_millis(300));
-        let reply = start();
-        assert_eq!((reply.status, reply.code().as_str()), (409, "PB3DP-PAN-043"), "{}", reply.body);
+        start().is_refused(409, "PB3DP-PAN-043");
         assert_eq!(rig.state(), State::Selecting);
         cameras.is_hung.store(false, Ordering::SeqCst);
         assert_eq!(changing.join().unwrap().status, 200);
@@ -212,7 +209,7 @@ fn what_no_camera_takes_in_time_is_never_set() {
     let client = rig.holder();
     cameras.is_hung.store(true, Ordering::SeqCst);
     let reply = change(&client, "left", 20);
-    assert_eq!((reply.status, reply.code().as_str()), (409, "PB3DP-PAN-041"), "{}", reply.body);
+    reply.is_refused(409, "PB3DP-PAN-041");
     assert!(reply.body.contains("has not answered within 2500 ms"), "{}", reply.body);
     cameras.is_hung.store(false, Ordering::SeqCst);
     assert_eq!(change(&client, "left", 21).status, 200);
@@ -247,9 +244,9 @@ fn bare_cameras_need_no_calibration_for_images_and_controls() {
     assert_eq!(state["state"]["may"], json!([]));
     assert!(state["why"]["line"].as_str().unwrap().contains("not calibrated"), "{state}");
     assert_eq!(change(&client, "left", 20).status, 200);
-    let body = json!({ "region": "click:3,4", "seen": client.shown_state() }).to_string();
-    let preview = json!({ "region": "click:3,4" }).to_string();
-    for reply in [client.post("select", &body), client.post("preview", &preview), client.get("/api/epipolar?u=1&v=2")] {
+    let region = json!({ "region": "click:3,4" });
+    let preview = client.post("preview", &region.to_string());
+    for reply in [client.command("select", region), preview, client.get("/api/epipolar?u=1&v=2")] {
         assert!(reply.code() == "PB3DP-PAN-038" && reply.body.contains("not calibrated"), "{}", reply.body);
     }
 }

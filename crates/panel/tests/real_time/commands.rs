@@ -9,10 +9,6 @@ use serde_json::json;
 
 use crate::support::Rig;
 
-fn with_shown(client: &crate::support::Client) -> String {
-    json!({ "seen": client.shown_state() }).to_string()
-}
-
 #[test]
 fn without_the_lease_only_stop_is_obeyed() {
     let rig = Rig::new();
@@ -25,11 +21,11 @@ fn without_the_lease_only_stop_is_obeyed() {
         ("re-align", json!({ "seen": observed })),
         ("reset", json!({ "seen": observed })),
         ("hold", json!({})),
+        ("heartbeat", json!({ "nonce": "0123456789abcdef" })),
         ("speed", json!({ "percent": 10, "seen": observed })),
         ("jog", json!({ "offset_mm": [1, 0, 0], "offset_deg": [0, 0, 0], "seen": observed })),
     ] {
-        let reply = client.post(command, &body.to_string());
-        assert_eq!((reply.status, reply.code().as_str()), (403, "PB3DP-PAN-021"), "{command}: {}", reply.body);
+        client.post(command, &body.to_string()).is_refused(403, "PB3DP-PAN-021");
     }
     assert!(rig.observed.lock().unwrap().commands.is_empty());
     for body in ["{}", "", r#"{"seen":null}"#, "{ not json", r#"{"unknown":1}"#] {
@@ -47,18 +43,16 @@ fn a_target_is_selected_started_held_resumed_and_stopped() {
     assert_eq!(region, Region::Rectangle { x: 200, y: 150, width: 120, height: 90 });
     assert!(drawn_on.is_some(), "the pair on which it was drawn");
     // A hold is not refused because of an old or damaged `observed`.
-    let reply = client.post("hold", r#"{"seen":{"state":0,"target":null}}"#);
-    assert_eq!(reply.status, 200, "{}", reply.body);
+    client.post("hold", r#"{"seen":{"state":0,"target":null}}"#).is_accepted();
     assert_eq!(rig.state(), State::Holding);
     client.wait_for("ready", |state| state["state"]["is_ready"] == true && state["state"]["name"] == "holding");
-    let reply = client.post("resume", &with_shown(&client));
-    assert_eq!((reply.status, reply.json()["line"].as_str()), (200, Some("resume: approaching")), "{}", reply.body);
-    let reply = client.post("re-align", &with_shown(&client));
-    assert_eq!((reply.status, reply.json()["line"].as_str()), (200, Some("re-align: approaching")), "{}", reply.body);
-    assert_eq!(client.post("stop", "{}").status, 200);
+    for command in ["resume", "re-align"] {
+        assert_eq!(client.command(command, json!({})).json()["line"], format!("{command}: approaching"));
+    }
+    client.post("stop", "{}").is_accepted();
     assert_eq!(rig.state(), State::Stopped);
     client.wait_for("stopped", |state| state["state"]["name"] == "stopped" && state["state"]["is_latched"] == true);
-    assert_eq!(client.post("reset", &with_shown(&client)).status, 200);
+    client.command("reset", json!({})).is_accepted();
     assert_eq!(rig.state(), State::Idle);
 }
 
@@ -67,8 +61,7 @@ fn a_select_while_an_arm_moves_holds_every_arm_first() {
     let rig = Rig::new();
     let client = rig.holder();
     rig.start(&client);
-    let body = json!({ "region": "click:320,240", "name": "cup", "seen": client.shown_state() });
-    let reply = client.post("select", &body.to_string());
+    let reply = client.command("select", json!({ "region": "click:320,240", "name": "cup" }));
     assert_eq!((reply.status, reply.json()["line"].as_str()), (200, Some("select: selecting")), "{}", reply.body);
     {
         let observed = rig.observed.lock().unwrap();
@@ -79,11 +72,9 @@ fn a_select_while_an_arm_moves_holds_every_arm_first() {
     let state = client.wait_for("its name", |state| state["target"]["name"] == "cup" && state["target"]["id"] == 2);
     assert_eq!(state["saved"], json!(["cup"]));
     client.wait_for("ready", |state| state["state"]["is_ready"] == true);
-    let body = json!({ "saved": "cup", "seen": client.shown_state() });
-    assert_eq!(client.post("select", &body.to_string()).status, 200);
+    client.command("select", json!({ "saved": "cup" })).is_accepted();
     rig.wait_for("the saved target", |observed| observed.regions.len() == 3);
-    let unknown = json!({ "saved": "box", "seen": client.shown_state() });
-    assert_eq!(client.post("select", &unknown.to_string()).code(), "PB3DP-PAN-035");
+    assert_eq!(client.command("select", json!({ "saved": "box" })).code(), "PB3DP-PAN-035");
 }
 
 /// Without a region and a saved name: the target of the setup, and no other name for the target that is followed.
@@ -91,29 +82,24 @@ fn a_select_while_an_arm_moves_holds_every_arm_first() {
 fn a_select_without_a_region_chooses_the_target_of_the_setup_and_names_nothing() {
     let rig = Rig::new();
     let client = rig.holder();
-    let select = |more: serde_json::Value| {
-        let mut body = json!({ "seen": client.shown_state() });
-        body.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
-        client.post("select", &body.to_string())
-    };
+    let select = |body: serde_json::Value| client.command("select", body);
     let reply = select(json!({}));
-    assert_eq!((reply.status, reply.code().as_str()), (400, "PB3DP-PAN-032"), "{}", reply.body);
+    reply.is_refused(400, "PB3DP-PAN-032");
     assert!(reply.body.contains("camera.region"), "{}", reply.body);
     assert_eq!(rig.count_of(OperatorCommand::Select), 0);
     for (count, name) in [(1, "cup"), (2, "box")] {
-        assert_eq!(select(json!({ "region": "click:320,240", "name": name })).status, 200);
+        select(json!({ "region": "click:320,240", "name": name })).is_accepted();
         client.wait_for("its name", |state| state["target"]["name"] == name && state["target"]["id"] == count);
     }
     for name in ["cup", "box", "bowl"] {
         let reply = select(json!({ "name": name }));
-        assert_eq!((reply.status, reply.code().as_str()), (400, "PB3DP-PAN-017"), "{}", reply.body);
+        reply.is_refused(400, "PB3DP-PAN-017");
         assert!(reply.body.contains("saved are: cup, box"), "{}", reply.body);
     }
     assert_eq!(rig.count_of(OperatorCommand::Select), 2);
     let of_setup = TargetSource::Region(Region::Click { x: 7, y: 7 });
     rig.panel.as_ref().unwrap().selections().set_target_of_setup(&of_setup);
-    let reply = select(json!({}));
-    assert_eq!(reply.status, 200, "{}", reply.body);
+    select(json!({})).is_accepted();
     rig.wait_for("the target of the setup", |observed| observed.setup_selected == 1 && observed.regions.len() == 2);
     client.wait_for("no name", |state| state["target"]["name"].is_null());
 }
@@ -122,11 +108,9 @@ fn a_select_without_a_region_chooses_the_target_of_the_setup_and_names_nothing()
 fn a_refused_select_does_not_reach_the_estimation() {
     let rig = Rig::new();
     let client = rig.holder();
-    assert_eq!(client.post("stop", "{}").status, 200);
+    client.post("stop", "{}").is_accepted();
     client.wait_for("stopped", |state| state["state"]["name"] == "stopped");
-    let body = json!({ "region": "rect:200,150,120,90", "seen": client.shown_state() });
-    let reply = client.post("select", &body.to_string());
-    assert_eq!((reply.status, reply.code().as_str()), (409, "PB3DP-SUP-101"), "{}", reply.body);
+    client.command("select", json!({ "region": "rect:200,150,120,90" })).is_refused(409, "PB3DP-SUP-101");
     assert!(rig.observed.lock().unwrap().regions.is_empty());
 }
 
@@ -136,25 +120,25 @@ fn stale_replayed_and_duplicated_commands_are_refused() {
     let client = rig.holder();
     let observed = client.shown_state();
     let select = |observed: &serde_json::Value| {
-        client.post("select", &json!({ "region": "rect:200,150,120,90", "seen": observed }).to_string()).code()
-    };
-    let changed = |key: &str, value: serde_json::Value| {
-        let mut other = observed.clone();
-        other[key] = value;
-        other
+        client.post("select", &json!({ "region": "rect:200,150,120,90", "seen": observed }).to_string())
     };
     let time_ms = observed["time_ms"].as_f64().unwrap();
-    assert_eq!(select(&changed("state", json!(99))), "PB3DP-PAN-024");
-    assert_eq!(select(&changed("target", json!(1))), "PB3DP-PAN-025");
-    assert_eq!(select(&changed("time_ms", json!(time_ms + 5000.0))), "PB3DP-PAN-026");
-    assert_eq!(select(&changed("time_ms", json!(time_ms - 2500.0))), "PB3DP-PAN-026");
-    let reply = client.post("start", "{}");
-    assert_eq!((reply.status, reply.code().as_str()), (400, "PB3DP-PAN-017"), "without what was seen");
+    for (key, value, code) in [
+        ("state", json!(99), "PB3DP-PAN-024"),
+        ("target", json!(1), "PB3DP-PAN-025"),
+        ("time_ms", json!(time_ms + 5000.0), "PB3DP-PAN-026"),
+        ("time_ms", json!(time_ms - 2500.0), "PB3DP-PAN-026"),
+    ] {
+        let mut other = observed.clone();
+        other[key] = value;
+        select(&other).is_refused(409, code);
+    }
+    // Without what was seen.
+    client.post("start", "{}").is_refused(400, "PB3DP-PAN-017");
     assert!(rig.observed.lock().unwrap().commands.is_empty());
     rig.start(&client);
     // The same request again, as a proxy or a double click sends it.
-    let replayed = client.post("select", &json!({ "region": "rect:200,150,120,90", "seen": observed }).to_string());
-    assert_eq!((replayed.status, replayed.code().as_str()), (409, "PB3DP-PAN-024"));
+    select(&observed).is_refused(409, "PB3DP-PAN-024");
     assert_eq!(rig.state(), State::Approaching);
 }
 
@@ -162,14 +146,11 @@ fn stale_replayed_and_duplicated_commands_are_refused() {
 fn a_start_that_arrives_after_a_later_hold_is_refused() {
     let rig = Rig::new();
     let client = rig.holder();
-    let body = json!({ "region": "rect:200,150,120,90", "seen": client.shown_state() });
-    assert_eq!(client.post("select", &body.to_string()).status, 200);
-    client.wait_for("ready", |state| state["state"]["is_ready"] == true && state["target"]["id"] == 1);
-    let start = with_shown(&client);
+    rig.select(&client);
+    let start = json!({ "seen": client.shown_state() }).to_string();
     // The operator gave `start`, then `hold`; the network delivers them in the other order. The state does not change by the hold.
-    assert_eq!(client.post("hold", "{}").status, 200);
-    let reply = client.post("start", &start);
-    assert_eq!((reply.status, reply.code().as_str()), (409, "PB3DP-PAN-024"), "{}", reply.body);
+    client.post("hold", "{}").is_accepted();
+    client.post("start", &start).is_refused(409, "PB3DP-PAN-024");
     assert_eq!(rig.state(), State::Selecting);
 }
 
@@ -180,18 +161,15 @@ fn a_take_over_holds_every_arm_and_ends_the_earlier_session() {
     rig.start(&first);
     let mut second = rig.client();
     let reply = second.lease("take", "tablet");
-    assert_eq!((reply.status, reply.code().as_str()), (409, "PB3DP-PAN-022"));
+    reply.is_refused(409, "PB3DP-PAN-022");
     assert!(reply.body.contains("test"), "it names the holder: {}", reply.body);
     assert_eq!(rig.state(), State::Approaching);
-    assert_eq!(second.lease("take-over", "tablet").status, 200);
-    rig.wait_for("hold of every arm", |observed| {
-        observed.last.is_some_and(|last| !last.state.is_moving() && last.no_arm_may_move)
-    });
+    second.lease("take-over", "tablet").is_accepted();
+    rig.wait_for_rest();
     assert_eq!(rig.count_of(OperatorCommand::Hold), 1);
     let state = first.wait_for("the new holder", |state| state["operator"]["holder"]["id"] == 2);
     assert_eq!(state["operator"]["holder"]["name"], "tablet");
-    let reply = first.post("resume", &with_shown(&first));
-    assert_eq!((reply.status, reply.code().as_str()), (403, "PB3DP-PAN-021"));
+    first.command("resume", json!({})).is_refused(403, "PB3DP-PAN-021");
 }
 
 #[test]
@@ -199,28 +177,22 @@ fn a_released_lease_holds_every_arm() {
     let rig = Rig::new();
     let client = rig.holder();
     rig.start(&client);
-    assert_eq!(client.post("lease", r#"{"action":"release"}"#).status, 200);
-    rig.wait_for("hold of every arm", |observed| {
-        observed.last.is_some_and(|last| !last.state.is_moving() && last.no_arm_may_move)
-    });
+    let release = || client.post("lease", r#"{"action":"release"}"#);
+    release().is_accepted();
+    rig.wait_for_rest();
     assert_eq!(client.state()["operator"]["holder"], json!(null));
-    let reply = client.post("lease", r#"{"action":"release"}"#);
-    assert_eq!((reply.status, reply.code().as_str()), (403, "PB3DP-PAN-021"));
+    release().is_refused(403, "PB3DP-PAN-021");
 }
 
 #[test]
 fn speed_and_jog_reach_the_control_thread_within_their_limits() {
     let rig = Rig::new();
     let client = rig.holder();
-    let speed =
-        |percent: f64| client.post("speed", &json!({ "percent": percent, "seen": client.shown_state() }).to_string());
+    let speed = |percent: f64| client.command("speed", json!({ "percent": percent }));
     assert_eq!(speed(40.0).status, 200);
     rig.wait_for("the share", |observed| observed.motion.is_some_and(|motion| motion.speed_share == 0.4));
     assert_eq!(speed(120.0).code(), "PB3DP-PAN-037");
-    let jog = |mm: f64| {
-        let body = json!({ "offset_mm": [mm, 0, 0], "offset_deg": [0, 0, 1], "seen": client.shown_state() });
-        client.post("jog", &body.to_string())
-    };
+    let jog = |mm: f64| client.command("jog", json!({ "offset_mm": [mm, 0, 0], "offset_deg": [0, 0, 1] }));
     assert_eq!(jog(11.0).code(), "PB3DP-PAN-036");
     assert_eq!((jog(8.0).status, jog(8.0).status), (200, 200), "a repeated jog changes nothing");
     rig.wait_for("the offset", |observed| {
@@ -244,9 +216,8 @@ fn commands_before_the_first_step_are_refused_and_stop_ends_the_run() {
     let mut client = rig.client();
     client.take("test");
     client.wait_for("a state", |state| state["state"]["name"] == "starting");
-    let reply = client.post("start", &with_shown(&client));
-    assert_eq!((reply.status, reply.code().as_str()), (409, "PB3DP-PAN-028"));
-    assert_eq!(client.post("stop", "{}").status, 200);
+    client.command("start", json!({})).is_refused(409, "PB3DP-PAN-028");
+    client.post("stop", "{}").is_accepted();
     assert!(rig.interrupt.load(std::sync::atomic::Ordering::SeqCst));
 }
 

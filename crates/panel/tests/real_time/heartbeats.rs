@@ -1,5 +1,8 @@
 //! Signs of life: who falls silent stops the arms within half a second.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
 use std::time::Duration;
 
 use pb3dp_servo::supervisor::State;
@@ -23,8 +26,31 @@ fn stopped_in_time((silent_s, period_s): (f64, f64)) {
     assert!((SILENCE_S..limit_s).contains(&silent_s), "{silent_s} s of silence, with periods of up to {period_s} s");
 }
 
-fn rests(rig: &Rig) {
-    rig.wait_for("rest", |observed| observed.last.is_some_and(|last| !last.state.is_moving() && last.no_arm_may_move));
+/// A page whose browser answers every heartbeat.
+struct Beating {
+    is_pressed: Arc<AtomicBool>,
+    is_over: Arc<AtomicBool>,
+    thread: JoinHandle<Page>,
+}
+
+impl Beating {
+    fn start(mut page: Page) -> Self {
+        let [is_pressed, is_over] = [(); 2].map(|()| Arc::new(AtomicBool::new(false)));
+        let (pressed, over) = (is_pressed.clone(), is_over.clone());
+        let thread = std::thread::spawn(move || {
+            while !over.load(Ordering::SeqCst) {
+                page.beat(true, pressed.load(Ordering::SeqCst));
+            }
+            page
+        });
+        Self { is_pressed, is_over, thread }
+    }
+
+    /// No more answers; the socket stays open.
+    fn end(self) -> Page {
+        self.is_over.store(true, Ordering::SeqCst);
+        self.thread.join().unwrap()
+    }
 }
 
 #[test]
@@ -33,26 +59,19 @@ fn a_holder_without_heartbeats_stops_the_arms_within_half_a_second() {
     let mut client = rig.holder();
     rig.start(&client);
     client.fall_silent();
-    rests(&rig);
+    rig.wait_for_rest();
     stopped_in_time(silence(&rig));
 }
 
 #[test]
 fn a_half_open_socket_counts_as_silent() {
     let rig = Rig::new();
-    let mut client = rig.client();
-    client.take("test");
-    let mut page = Page::open(&client);
-    let beating = std::thread::spawn(move || {
-        for _ in 0..40 {
-            page.beat(true, false);
-        }
-        page
-    });
+    let (client, page) = rig.holder_with_page();
+    let beating = Beating::start(page);
     rig.start(&client);
     // The page is suspended: its socket stays open, and nobody answers.
-    let page = beating.join().unwrap();
-    rests(&rig);
+    let page = beating.end();
+    rig.wait_for_rest();
     stopped_in_time(silence(&rig));
     drop(page);
 }
@@ -60,22 +79,13 @@ fn a_half_open_socket_counts_as_silent() {
 #[test]
 fn a_page_that_beats_keeps_the_arms_moving_and_a_closed_one_holds_them_at_once() {
     let rig = Rig::new();
-    let mut client = rig.client();
-    client.take("test");
-    let mut page = Page::open(&client);
-    let (give, over) = std::sync::mpsc::channel::<()>();
-    let beating = std::thread::spawn(move || {
-        while over.try_recv().is_err() {
-            page.beat(true, false);
-        }
-        page
-    });
+    let (client, page) = rig.holder_with_page();
+    let beating = Beating::start(page);
     rig.start(&client);
     std::thread::sleep(Duration::from_millis(1500));
     assert_eq!(rig.state(), State::Approaching, "no false stop");
-    give.send(()).unwrap();
-    drop(beating.join().unwrap());
-    rests(&rig);
+    drop(beating.end());
+    rig.wait_for_rest();
     let (silent_s, _) = silence(&rig);
     assert!(silent_s < SILENCE_S, "the end of the connection is noticed before the silence: {silent_s}");
 }
@@ -83,9 +93,7 @@ fn a_page_that_beats_keeps_the_arms_moving_and_a_closed_one_holds_them_at_once()
 #[test]
 fn a_hidden_page_is_silent_at_once() {
     let rig = Rig::new();
-    let mut client = rig.client();
-    client.take("test");
-    let mut page = Page::open(&client);
+    let (client, mut page) = rig.holder_with_page();
     page.beat(true, false);
     rig.wait_for("a heartbeat", |observed| observed.heartbeat_at.is_some());
     page.beat(false, false);
@@ -97,28 +105,9 @@ fn a_hidden_page_is_silent_at_once() {
 }
 
 #[test]
-fn wrong_and_repeated_nonces_are_no_sign_of_life() {
-    let rig = Rig::new();
-    let mut client = rig.client();
-    client.take("test");
-    let first = client.nonce.clone();
-    assert_eq!(client.beat().status, 200);
-    let second = client.nonce.clone();
-    client.nonce = first;
-    assert_eq!(client.beat().code(), "PB3DP-PAN-023", "replayed");
-    client.nonce = Some("0123456789abcdef".to_owned());
-    assert_eq!(client.beat().code(), "PB3DP-PAN-023", "invented");
-    let mut other = rig.client();
-    other.nonce = second;
-    assert_eq!(other.beat().code(), "PB3DP-PAN-021", "without the session");
-}
-
-#[test]
 fn of_two_pages_of_one_session_the_newest_is_asked() {
     let rig = Rig::new();
-    let mut client = rig.client();
-    client.take("test");
-    let mut first = Page::open(&client);
+    let (client, mut first) = rig.holder_with_page();
     first.next_of("heartbeat");
     let mut second = Page::open(&client);
     second.beat(true, false);
@@ -140,29 +129,19 @@ fn of_two_pages_of_one_session_the_newest_is_asked() {
 fn with_hold_to_run_a_released_button_holds_every_arm() {
     let rig = Rig::with(|config| config.hold_to_run = true, true);
     assert_eq!(rig.client().get("/api/info").json()["hold_to_run"], true);
-    let mut client = rig.client();
-    client.take("test");
-    let mut page = Page::open(&client);
-    let pressed = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
-    let (observed, (give, over)) = (pressed.clone(), std::sync::mpsc::channel::<()>());
-    let beating = std::thread::spawn(move || {
-        while over.try_recv().is_err() {
-            page.beat(true, observed.load(std::sync::atomic::Ordering::SeqCst));
-        }
-    });
-    let refused = client.post("start", &json!({ "seen": client.shown_state() }).to_string());
-    assert_eq!(refused.code(), "PB3DP-PAN-040", "the button is not pressed yet");
-    pressed.store(true, std::sync::atomic::Ordering::SeqCst);
+    let (client, page) = rig.holder_with_page();
+    let beating = Beating::start(page);
+    assert_eq!(client.command("start", json!({})).code(), "PB3DP-PAN-040", "the button is not pressed yet");
+    beating.is_pressed.store(true, Ordering::SeqCst);
     std::thread::sleep(Duration::from_millis(300));
     rig.start(&client);
     std::thread::sleep(Duration::from_millis(700));
     assert_eq!(rig.state(), State::Approaching);
-    pressed.store(false, std::sync::atomic::Ordering::SeqCst);
-    rests(&rig);
+    beating.is_pressed.store(false, Ordering::SeqCst);
+    rig.wait_for_rest();
     assert_eq!(rig.state(), State::Holding);
     // While no arm moves, the button need not be pressed.
     std::thread::sleep(Duration::from_millis(700));
     assert_eq!(rig.state(), State::Holding);
-    give.send(()).unwrap();
-    beating.join().unwrap();
+    beating.end();
 }

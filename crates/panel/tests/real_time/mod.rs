@@ -6,5 +6,4 @@ mod commands;
 mod encrypted;
 mod heartbeats;
 mod limits;
-mod messages;
 mod watching;

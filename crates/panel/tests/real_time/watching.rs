@@ -79,6 +79,7 @@ fn the_state_has_the_errors_and_poses_of_the_target() {
     assert_eq!(target["status"], "ok");
     assert_eq!(target["outline_right_px"].as_array().unwrap().len(), 4);
     assert!(state["truth"]["world_from_target"].is_array() && target["world_from_model"].is_array());
+    assert!(target["cam_left_from_model"].is_array() && state["state"]["is_moving"] == true);
     assert!(state["control"]["error_mm"].as_f64().unwrap() > 0.0);
     assert!(state["realtime_factor"].as_f64().unwrap() > 0.5 && state["images"]["fps"].as_f64().unwrap() > 5.0);
     for arm in state["arms"].as_array().unwrap() {

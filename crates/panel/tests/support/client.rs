@@ -28,6 +28,16 @@ impl Reply {
     pub fn code(&self) -> String {
         self.json()["code"].as_str().unwrap_or_default().to_owned()
     }
+
+    #[track_caller]
+    pub fn is_refused(&self, status: u16, code: &str) {
+        assert_eq!((self.status, self.code().as_str()), (status, code), "{}", self.body);
+    }
+
+    #[track_caller]
+    pub fn is_accepted(&self) {
+        assert_eq!(self.status, 200, "{}", self.body);
+    }
 }
 
 /// A client; it may hold the lease.
@@ -68,6 +78,12 @@ impl Client {
         self.request("POST", &format!("/api/{command}"), "Content-Type: application/json\r\n", body)
     }
 
+    /// A command on what this client sees now.
+    pub fn command(&self, command: &str, mut body: Value) -> Reply {
+        body["seen"] = self.shown_state();
+        self.post(command, &body.to_string())
+    }
+
     pub fn state(&self) -> Value {
         self.get("/api/state").json()
     }
@@ -91,8 +107,7 @@ impl Client {
 
     /// Takes the lease.
     pub fn take(&mut self, name: &str) {
-        let reply = self.lease("take", name);
-        assert_eq!(reply.status, 200, "{}", reply.body);
+        self.lease("take", name).is_accepted();
     }
 
     /// Takes the lease or takes it over.

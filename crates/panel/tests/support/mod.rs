@@ -37,6 +37,7 @@ use pb3dp_servo::supervisor::{
     State, Supervisor,
 };
 use pb3dp_setup::setup::{Setup, read_setup};
+use serde_json::json;
 
 pub use self::client::{Client, TIMEOUT};
 pub use self::page::Page;
@@ -148,6 +149,14 @@ impl Rig {
         Client::new(self.address())
     }
 
+    /// A client that holds the lease, and its page, which sends the signs of life.
+    pub fn holder_with_page(&self) -> (Client, Page) {
+        let mut client = self.client();
+        client.take("test");
+        let page = Page::open(&client);
+        (client, page)
+    }
+
     /// A client that holds the lease and keeps it alive as a script does.
     pub fn holder(&self) -> Client {
         let mut client = self.client();
@@ -172,21 +181,31 @@ impl Rig {
         self.wait_for(state.name(), |observed| observed.last.is_some_and(|last| last.state == state));
     }
 
-    /// Selects a target and starts.
-    pub fn start(&self, client: &Client) {
-        let reply =
-            client.post("select", &format!(r#"{{"region":"rect:200,150,120,90","seen":{}}}"#, client.shown_state()));
-        assert_eq!(reply.status, 200, "{}", reply.body);
+    /// Selects a target and waits until it may be followed.
+    pub fn select(&self, client: &Client) {
+        client.command("select", json!({ "region": "rect:200,150,120,90" })).is_accepted();
         self.wait_for("ready", |observed| {
             observed.last.is_some_and(|last| last.is_ready && last.state == State::Selecting)
         });
         client.wait_for("a target", |state| state["target"]["id"] == 1 && state["state"]["is_ready"] == true);
-        let start = || client.post("start", &format!(r#"{{"seen":{}}}"#, client.shown_state()));
+    }
+
+    /// Waits until no arm may move.
+    pub fn wait_for_rest(&self) {
+        self.wait_for("rest", |observed| {
+            observed.last.is_some_and(|last| !last.state.is_moving() && last.no_arm_may_move)
+        });
+    }
+
+    /// Selects a target and starts.
+    pub fn start(&self, client: &Client) {
+        self.select(client);
+        let start = || client.command("start", json!({}));
         // A machine that is building may suspend the program for a moment.
         let is_suspended = |reply: &self::client::Reply| reply.status != 200 && reply.code() == "PB3DP-PAN-030";
         let reply =
             std::iter::repeat_with(start).take(5).find(|reply| !is_suspended(reply)).expect("suspended five times");
-        assert_eq!(reply.status, 200, "{}", reply.body);
+        reply.is_accepted();
         self.wait_for_state(State::Approaching);
     }
 

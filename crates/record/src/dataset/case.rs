@@ -302,10 +302,12 @@ mod tests {
         check_refused(|v| drop(v.as_object_mut().unwrap().remove("left")), &["`left`", "missing"]);
         check_refused(|v| v["calib"] = json!(7), &["`calib`", "7", "string"]);
         check_refused(|v| drop(v["search"].as_object_mut().unwrap().remove("z_min_mm")), &["`search.z_min_mm`"]);
+        check_refused(|v| v["search"]["z_min_mm"] = json!(-1), &["`search.z_min_mm`", "-1"]);
         check_refused(|v| v["search"]["z_max_mm"] = json!(300), &["`search.z_max_mm`", "300", "greater"]);
         check_refused(|v| v["search"]["tilt_max_deg"] = json!(85.01), &["`search.tilt_max_deg`", "0 and 85 degrees"]);
         check_refused(|v| v["region_polygon_left_px"] = json!([[1, 2], [3, 4]]), &["at least 3 corners", "not 2"]);
         check_refused(|v| v["region_polygon_left_px"] = json!([[1, 2], [3, 4], [5, 6]]), &["0.00 square pixels"]);
+        check_refused(|v| v["region_polygon_left_px"][1] = json!([1, 2, 3]), &["`region_polygon_left_px[1]`"]);
         check_refused(|v| v["region_polygon_left_px"][2][1] = json!("x"), &["`region_polygon_left_px[2][1]`", "\"x\""]);
         check_refused(|v| v["hard"] = json!("very"), &["`hard`", "\"very\"", "lowtex"]);
         check_refused(|v| v["planar"] = json!(1), &["`planar`", "true or false"]);

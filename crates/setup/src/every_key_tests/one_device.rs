@@ -10,14 +10,8 @@ use crate::setup::{RealCameras, read_cameras};
 pub(super) fn cameras(changes: &str) -> Result<RealCameras, String> {
     let sample = Sample::new("rig.toml", |file| read_setup(file).map(drop));
     let mut root = sample.table.clone();
-    let merge = |into: &mut Table, from: Table| into.extend(from);
     let camera = root["camera"].as_table_mut().unwrap();
-    for (key, value) in changes.parse::<Table>().unwrap() {
-        match (camera.get_mut(&key), value) {
-            (Some(Value::Table(side)), Value::Table(changed)) => merge(side, changed),
-            (_, value) => drop(camera.insert(key, value)),
-        }
-    }
+    change_lines(camera, changes);
     if camera.get("layout").and_then(Value::as_str) != Some("two-devices") {
         // What the example states of the right camera.
         let right = camera["right"].as_table_mut().unwrap();
@@ -118,12 +112,6 @@ fn layouts_crops_and_ranges_that_do_not_fit_are_refused() {
         let text = cameras(changes).unwrap_err();
         assert!(text.contains(expected), "{expected}: not in {text}");
     }
-    let sample = Sample::new("rig.toml", |file| read_setup(file).map(drop));
-    let mut root = sample.table.clone();
-    root["camera"]["right"].as_table_mut().unwrap().remove("device");
-    let file = sample.folder.path().join("rig.toml");
-    std::fs::write(&file, toml::to_string(&root).unwrap()).unwrap();
-    let text = read_setup(&file).unwrap_err().to_string();
     let expected = "camera.right.device: missing; the setup must state it, unless camera.layout says how one device has both views";
-    assert!(text.contains(expected), "{text}");
+    check_lines(&[("rig.toml", "-camera.right.device", expected)]);
 }
