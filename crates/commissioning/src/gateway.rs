@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, Subcommand};
-use pb3dp_arm_pa10::arm::{GatewayIdentity, read_shared_key, write_new_certificate};
+use pb3dp_arm_pa10::arm::read_shared_key;
 use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10_gateway::gateway::GatewayStatus;
 use pb3dp_arm_pa10_gateway::service::{
@@ -55,12 +55,6 @@ pub enum GatewayTask {
         /// New file, readable by its owner only; an existing one is not changed.
         file: PathBuf,
     },
-    /// Make the certificate with which a gateway on TCP uses TLS.
-    Certificate {
-        /// New file of the certificate; its private key, readable by its owner only, goes to the same name with the ending
-        /// `.tls.key`. Existing files are not changed.
-        file: PathBuf,
-    },
 }
 
 /// Interval at which the log is written.
@@ -81,16 +75,6 @@ pub fn run(args: &GatewayArgs) -> Result<ExitCode> {
         (Some(GatewayTask::Key { file }), _) => {
             write_new_key(file)?;
             tracing::info!("new key in {}: copy it to the computers of the hosts, as their `key_file`", file.display());
-            return Ok(ExitCode::SUCCESS);
-        }
-        (Some(GatewayTask::Certificate { file }), _) => {
-            let key = write_new_certificate(file)?;
-            tracing::info!(
-                "new certificate in {}, its private key in {}: set `access.tls` of the gateway to both, and copy the certificate to the \
-                 computers of the hosts, as their `certificate`",
-                file.display(),
-                key.display()
-            );
             return Ok(ExitCode::SUCCESS);
         }
         (None, Some(config)) => config,
@@ -205,16 +189,15 @@ fn host_side(setup: &GatewaySetup) -> Result<HostSide> {
     })
 }
 
-/// Reads the key of a gateway on TCP, and its certificate with the private key if it has one.
+/// Reads the key of a gateway on TCP.
 ///
 /// # Errors
-/// If a file cannot be read, others can read a key, or one cannot be used.
+/// If the file cannot be read, others can read it, or it holds no key.
 pub fn read_access(place: &AccessPlace) -> Result<Access> {
     let key = read_shared_key(&place.key_file).context(
         "access.key_file: a gateway on TCP needs a key, because every program on the network could drive the arm without one",
     )?;
-    let tls = place.tls.as_ref().map(|tls| GatewayIdentity::read(&tls.certificate, &tls.key)).transpose();
-    Ok(Access { key, peers: place.peers.clone(), tls: tls.context("access.tls")? })
+    Ok(Access { key, peers: place.peers.clone() })
 }
 
 fn tell_start(setup: &GatewaySetup, server: &GatewayServer) {

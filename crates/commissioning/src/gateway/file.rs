@@ -46,17 +46,6 @@ pub struct AccessPlace {
     pub key_file: PathBuf,
     /// Addresses of the hosts.
     pub peers: Vec<IpAddr>,
-    /// Certificate and private key, for TLS.
-    pub tls: Option<TlsPlace>,
-}
-
-/// Where the certificate of a gateway is.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct TlsPlace {
-    /// File of the certificate.
-    pub certificate: PathBuf,
-    /// File of its private key.
-    pub key: PathBuf,
 }
 
 /// Host line of a gateway.
@@ -155,14 +144,6 @@ struct HostSection {
 struct AccessSection {
     key_file: PathBuf,
     peers: Vec<String>,
-    tls: Option<TlsSection>,
-}
-
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct TlsSection {
-    certificate: PathBuf,
-    key: PathBuf,
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -275,11 +256,7 @@ impl AccessSection {
                 )),
             }
         }
-        let tls = self
-            .tls
-            .as_ref()
-            .map(|tls| TlsPlace { certificate: folder.join(&tls.certificate), key: folder.join(&tls.key) });
-        AccessPlace { key_file: folder.join(&self.key_file), peers, tls }
+        AccessPlace { key_file: folder.join(&self.key_file), peers }
     }
 }
 
@@ -381,6 +358,7 @@ mod tests {
             ),
             ("key_file = \"arm1.key\"", "", "access.key_file: missing"),
             ("[realtime]", "[realtime]\nnice = 3", "realtime.nice: unknown key"),
+            ("[access]", "[access]\ntls = { certificate = \"a\", key = \"b\" }", "access.tls: this key is gone"),
             ("s2 = {", "s9 = {", "limits.s2: missing"),
             ("speed_max_rad_per_s = 1.5708, ", "", "limits.w1.speed_max_rad_per_s: missing"),
             (

@@ -45,8 +45,7 @@ impl UnwatchedGateway {
         let address = listener.local_addr().unwrap().to_string();
         let key = read_shared_key(&key_file()).unwrap();
         let admission = Admission::new(listener, ArmId(1), Access::from_this_computer(key));
-        let gateway =
-            KeyedTcp { tcp: TcpConfig { address: gateway.parse().unwrap() }, key, arm: ArmId(1), certificate: None };
+        let gateway = KeyedTcp { tcp: TcpConfig { address: gateway.parse().unwrap() }, key, arm: ArmId(1) };
         let is_running = Arc::new(AtomicBool::new(true));
         let is_plugged = Arc::new(AtomicBool::new(true));
         let (plug, parser) = (Arc::clone(&is_plugged), FrameParser::new(ArmId(1)));

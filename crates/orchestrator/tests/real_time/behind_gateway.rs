@@ -1,7 +1,6 @@
 //! `pb3dp arm` before `pb3dp gateway`, a mock arm behind it as the controller on the bus.
 
 use std::net::{SocketAddr, TcpListener, TcpStream};
-use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -17,7 +16,7 @@ struct Gateway {
     program: Program,
     address: SocketAddr,
     controller: MockArm,
-    folder: TempDir,
+    _folder: TempDir,
 }
 
 /// Ends with this, also when a test fails.
@@ -33,11 +32,6 @@ impl Drop for Program {
 impl Gateway {
     /// With longer times than those of the shipped file: tests run on loaded machines.
     fn start(stop_after_millis: &str) -> Self {
-        Self::start_with(stop_after_millis, false)
-    }
-
-    /// The same, with TLS if wanted: its certificate is `arm1.crt` in its folder.
-    fn start_with(stop_after_millis: &str, has_tls: bool) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let bus = folder.path().join("bus").display().to_string();
         let mut controller = MockArm::start(&["--bus", &bus, "--watchdog", "400ms", "--pose-deg", START_DEG]);
@@ -55,12 +49,6 @@ impl Gateway {
         ]
         .iter()
         .fold(shipped, |text, (from, to)| crate::cli::support::replaced(&text, from, to));
-        let text = if has_tls {
-            new_certificate(&folder.path().join("arm1.crt"));
-            crate::cli::support::replaced(&text, "\n# tls = {", "\ntls = {")
-        } else {
-            text
-        };
         // The speeds of the drives: the setup moves faster than the shipped gateway allows.
         let text = [("= 0.25,", "= 1.0,"), ("= 0.5,", "= 2.0,"), ("= 1.5708,", "= 6.28,")]
             .iter()
@@ -75,53 +63,13 @@ impl Gateway {
             assert!(Instant::now() < until, "the gateway does not listen");
             std::thread::sleep(Duration::from_millis(10));
         }
-        Self { program, address, controller, folder }
+        Self { program, address, controller, _folder: folder }
     }
 
     fn end(self) {
         drop(self.program);
         self.controller.quit();
     }
-}
-
-fn new_certificate(file: &Path) {
-    let made = Command::new(env!("CARGO_BIN_EXE_pb3dp")).args(["gateway", "certificate"]).arg(file).output().unwrap();
-    let text = String::from_utf8_lossy(&made.stderr);
-    assert!(made.status.success() && text.contains("arm1.tls.key"), "{text}");
-}
-
-/// An arm is probed over TLS with the certificate of the gateway, and neither without it nor with another one.
-#[test]
-fn an_arm_is_probed_over_tls() {
-    programs_in_real_time_beside_others(|| {
-        let gateway = Gateway::start_with("50.0", true);
-        let folder = setup_at(&gateway.address.to_string());
-        let (file, pinned) = (folder.path().join("cell.toml"), folder.path().join("arm1.crt"));
-        let config = file.display().to_string();
-        let probe = || pb3dp_arm(&config, &["probe", "--exchanges", "20"], None);
-        assert_problem(&probe(), &["accepts TLS only", "gateway.certificate"]);
-        let text = std::fs::read_to_string(&file).unwrap();
-        let text = crate::cli::support::replaced(&text, "\nkey_file = ", "\ncertificate = \"arm1.crt\"\nkey_file = ");
-        std::fs::write(&file, text).unwrap();
-        let missing = probe();
-        assert!(!missing.success, "{}", missing.stdout);
-        let printed = missing.stdout + &missing.stderr;
-        assert!(
-            printed.contains("arms.vs.gateway.certificate") && printed.contains("arm1.crt: cannot be read"),
-            "{printed}"
-        );
-        std::fs::copy(gateway.folder.path().join("arm1.crt"), &pinned).unwrap();
-        let finished = probe().assert_success();
-        assert!(
-            finished.stdout.contains("gateway: \"pb3dp gateway") && finished.stdout.contains("0 lost"),
-            "{}",
-            finished.stdout
-        );
-        std::fs::remove_file(&pinned).unwrap();
-        new_certificate(&pinned);
-        assert_problem(&probe(), &["has another certificate than `gateway.certificate`"]);
-        gateway.end();
-    });
 }
 
 /// R10, R11: the limiter cannot leave room for an arm that goes on for longer than it knows of.

@@ -94,8 +94,6 @@ pub enum GatewayWay {
         tcp: TcpConfig,
         /// File of the key.
         key_file: PathBuf,
-        /// File of the gateway's certificate, for TLS.
-        certificate: Option<PathBuf>,
     },
 }
 
@@ -126,7 +124,6 @@ pub(super) struct GatewaySection {
     baud: Option<i64>,
     address: Option<String>,
     key_file: Option<String>,
-    certificate: Option<String>,
     signals: Option<SignalsSection>,
 }
 
@@ -385,9 +382,9 @@ impl GatewaySection {
             },
         };
         let tcp = self.address.as_ref().zip(self.key_file.as_ref());
-        let way = match (backend, &self.port, self.baud, tcp, &self.certificate) {
-            (ArmBackend::Emulated, None, None, None, None) => GatewayWay::Emulated,
-            (ArmBackend::Serial, Some(path), Some(baud), None, None) => {
+        let way = match (backend, &self.port, self.baud, tcp) {
+            (ArmBackend::Emulated, None, None, None) => GatewayWay::Emulated,
+            (ArmBackend::Serial, Some(path), Some(baud), None) => {
                 check.count(&format!("{key}.gateway.baud"), baud, 9600..=12_000_000);
                 let (dialect, format) = (link.dialect, link.format);
                 if let (1.., Err(why)) = (baud, check_line(dialect, format, whole(baud), cycle)) {
@@ -395,10 +392,9 @@ impl GatewaySection {
                 }
                 GatewayWay::Serial { path: path.clone(), baud: whole(baud) }
             }
-            (ArmBackend::Tcp, None, None, Some((address, key_file)), certificate) => GatewayWay::Tcp {
+            (ArmBackend::Tcp, None, None, Some((address, key_file))) => GatewayWay::Tcp {
                 tcp: tcp_place(&format!("{key}.gateway.address"), address, check)?,
                 key_file: key_file.into(),
-                certificate: certificate.as_ref().map(PathBuf::from),
             },
             _ => {
                 check.refuse(format!("{key}.gateway: {}", self.wrong_place(backend)));
@@ -413,18 +409,13 @@ impl GatewaySection {
         let (needed, needs): (&[&str], &str) = match backend {
             ArmBackend::Serial => (&["port", "baud"], "port and baud"),
             ArmBackend::Tcp => (&["address", "key_file"], "address and key_file"),
-            ArmBackend::Mock | ArmBackend::Emulated | ArmBackend::Arcnet => {
-                (&[], "no port, baud, address, key_file or certificate")
-            }
+            ArmBackend::Mock | ArmBackend::Emulated | ArmBackend::Arcnet => (&[], "no port, baud, address or key_file"),
         };
-        // A key that may be missing with TCP, and is needless with the others.
-        let has_certificate = self.certificate.is_some() && backend != ArmBackend::Tcp;
         let stated = [
             ("port", self.port.is_some()),
             ("baud", self.baud.is_some()),
             ("address", self.address.is_some()),
             ("key_file", self.key_file.is_some()),
-            ("certificate", has_certificate),
         ];
         let named = |is_wrong: &dyn Fn(&str, bool) -> bool| -> Vec<&str> {
             stated.iter().filter(|(key, is_stated)| is_wrong(key, *is_stated)).map(|(key, _)| *key).collect()

@@ -1,7 +1,7 @@
 //! Who may talk to a gateway on TCP: connections become hosts only here, outside the cycle thread.
 //!
-//! A connection comes from an address on the list, completes the TLS handshake if the gateway has a certificate, proves the key and sends
-//! HELLO, in this order, within a limited time and without another byte in between. All others are closed, and the cycle thread never
+//! A connection comes from an address on the list, proves the key and sends HELLO, in this order, within a limited time and without
+//! another byte in between. All others are closed, and the cycle thread never
 //! learns of them.
 
 use std::io::{ErrorKind, Write as _};
@@ -9,7 +9,7 @@ use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream};
 use std::os::fd::{AsFd, BorrowedFd};
 use std::time::Duration;
 
-use pb3dp_arm_pa10::arm::{GatewayIdentity, HandshakeError, KeyedLink, TlsLink};
+use pb3dp_arm_pa10::arm::KeyedLink;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     Agreement, ArmId, FRAME_BYTES_MAX, FirstFrame, Frame, GatewayMessage, HELLO, Handshake, Holder, Reject,
     RejectReason, SharedKey, Side, first_frame,
@@ -38,9 +38,6 @@ const PAUSE: Duration = Duration::from_millis(50);
 /// Shortest time between two messages about refused connections.
 const REPORTED_EVERY: Duration = Duration::from_secs(1);
 
-/// First byte of a connection with TLS: the content type of its first record (RFC 8446, section 5.1).
-const TLS_HANDSHAKE: u8 = 22;
-
 /// Whom a gateway on TCP admits.
 #[derive(Clone, Debug)]
 pub struct Access {
@@ -48,14 +45,12 @@ pub struct Access {
     pub key: SharedKey,
     /// Addresses of the hosts.
     pub peers: Vec<IpAddr>,
-    /// Certificate of the gateway: hosts must use TLS if there is one, and must not without one.
-    pub tls: Option<GatewayIdentity>,
 }
 
 impl Access {
     /// Access with this key from this computer only.
     pub fn from_this_computer(key: SharedKey) -> Self {
-        Self { key, peers: vec![Ipv4Addr::LOCALHOST.into(), Ipv6Addr::LOCALHOST.into()], tls: None }
+        Self { key, peers: vec![Ipv4Addr::LOCALHOST.into(), Ipv6Addr::LOCALHOST.into()] }
     }
 }
 
@@ -111,14 +106,10 @@ struct Opening {
     length: usize,
 }
 
-/// A TCP connection, with or without TLS.
-type Line = Box<dyn ByteLink>;
-
 enum Stage {
-    Tls(Box<TlsLink<TcpLink>>),
-    ClientNonce(Line),
-    Proof(Line, Box<Agreement>),
-    Hello(Box<KeyedLink<Line>>),
+    ClientNonce(TcpLink),
+    Proof(TcpLink, Box<Agreement>),
+    Hello(Box<KeyedLink<TcpLink>>),
     Gone,
 }
 
@@ -216,8 +207,8 @@ impl Admission {
             } else if self.waiting.len() >= WAITING_MAX || !self.budget.take(now) {
                 self.accepts_again = now + PAUSE;
                 (RejectReason::TooManyPeers, "too many new connections")
-            } else if let Some(stage) = begin(stream, self.access.tls.as_ref()) {
-                self.waiting.push(Opening::new(stage, peer, now + OPENING_MAX));
+            } else if let Ok(link) = TcpLink::from_stream(stream) {
+                self.waiting.push(Opening::new(link, peer, now + OPENING_MAX));
                 continue;
             } else {
                 continue;
@@ -255,13 +246,12 @@ impl Budget {
 }
 
 impl Opening {
-    fn new(stage: Stage, peer: SocketAddr, ends: MonotonicTime) -> Self {
-        Self { peer, ends, stage, bytes: [0; FRAME_BYTES_MAX], length: 0 }
+    fn new(link: TcpLink, peer: SocketAddr, ends: MonotonicTime) -> Self {
+        Self { peer, ends, stage: Stage::ClientNonce(link), bytes: [0; FRAME_BYTES_MAX], length: 0 }
     }
 
     fn fd(&self) -> Option<BorrowedFd<'_>> {
         match &self.stage {
-            Stage::Tls(link) => link.fd(),
             Stage::ClientNonce(link) | Stage::Proof(link, _) => link.fd(),
             Stage::Hello(link) => link.fd(),
             Stage::Gone => None,
@@ -270,8 +260,6 @@ impl Opening {
 
     fn link(&mut self) -> Option<&mut dyn ByteLink> {
         match &mut self.stage {
-            // Refusals before the handshake are for a host without TLS.
-            Stage::Tls(link) => Some(link.line()),
             Stage::ClientNonce(link) | Stage::Proof(link, _) => Some(link),
             Stage::Hello(link) => Some(link.as_mut()),
             Stage::Gone => None,
@@ -279,16 +267,11 @@ impl Opening {
     }
 
     fn advance(&mut self, now: MonotonicTime, arm: ArmId, key: &SharedKey) -> Outcome {
-        let waits = |ends, late| if now >= ends { Outcome::Refused(late) } else { Outcome::Waits };
-        match self.encrypt(arm) {
-            Ok(true) => {}
-            Ok(false) => return waits(self.ends, "it did not complete the TLS handshake in time"),
-            Err(why) => return Outcome::Refused(why),
-        }
         loop {
-            let frame = match self.read(arm) {
+            let frame = match self.read() {
                 Ok(Some(frame)) => frame,
-                Ok(None) => return waits(self.ends, "it did not prove the key in time"),
+                Ok(None) if now >= self.ends => return Outcome::Refused("it did not prove the key in time"),
+                Ok(None) => return Outcome::Waits,
                 Err(why) => return Outcome::Refused(why),
             };
             if frame.arm != arm {
@@ -314,46 +297,18 @@ impl Opening {
                     self.stage = Stage::Hello(link);
                     return Outcome::Hello(frame);
                 }
-                Stage::Tls(_) | Stage::Hello(_) | Stage::Gone => {
-                    return Outcome::Refused("it did not begin with HELLO");
-                }
+                Stage::Hello(_) | Stage::Gone => return Outcome::Refused("it did not begin with HELLO"),
             };
         }
     }
 
-    /// Goes on with the TLS handshake; whether it is complete, or there is none.
-    fn encrypt(&mut self, arm: ArmId) -> Result<bool, &'static str> {
-        let Stage::Tls(link) = &mut self.stage else { return Ok(true) };
-        match link.advance_handshake() {
-            Ok(true) => {}
-            Ok(false) => return Ok(false),
-            Err(HandshakeError::Plain { .. }) => {
-                self.reject(arm, RejectReason::TlsMismatch);
-                return Err("it uses no TLS");
-            }
-            Err(HandshakeError::Tls(rustls::Error::AlertReceived(_))) => {
-                return Err("it refuses the certificate of this gateway, or its TLS");
-            }
-            Err(HandshakeError::Tls(_)) => return Err("its TLS handshake is wrong"),
-            Err(HandshakeError::Gone(_)) => return Err("it closed the connection during the TLS handshake"),
-        }
-        if let Stage::Tls(link) = std::mem::replace(&mut self.stage, Stage::Gone) {
-            self.stage = Stage::ClientNonce(link);
-        }
-        Ok(true)
-    }
-
     /// The next frame, and no byte more.
-    fn read(&mut self, arm: ArmId) -> Result<Option<Frame>, &'static str> {
+    fn read(&mut self) -> Result<Option<Frame>, &'static str> {
         loop {
             let needed = match first_frame(&self.bytes[..self.length]) {
                 FirstFrame::Frame { frame, .. } => {
                     self.length = 0;
                     return Ok(Some(frame));
-                }
-                FirstFrame::None if self.bytes[0] == TLS_HANDSHAKE => {
-                    self.reject(arm, RejectReason::TlsMismatch);
-                    return Err("it uses TLS, and `access.tls` is not set");
                 }
                 FirstFrame::None => return Err("it sent something else than a frame"),
                 FirstFrame::Incomplete { needed } => needed,
@@ -373,7 +328,7 @@ impl Opening {
         match self.stage {
             Stage::Proof(..) => "it closed the connection instead of proving the key: most likely it has another key",
             Stage::Hello(_) => "it closed the connection, or sent a record that is not authentic",
-            Stage::Tls(_) | Stage::ClientNonce(_) | Stage::Gone => "it closed the connection without a frame",
+            Stage::ClientNonce(_) | Stage::Gone => "it closed the connection without a frame",
         }
     }
 
@@ -385,17 +340,8 @@ impl Opening {
     }
 }
 
-/// A connection that was accepted, with TLS if there is a certificate; `None` if it is gone already.
-fn begin(stream: TcpStream, tls: Option<&GatewayIdentity>) -> Option<Stage> {
-    let link = TcpLink::from_stream(stream).ok()?;
-    Some(match tls {
-        Some(identity) => Stage::Tls(Box::new(identity.accept(link).ok()?)),
-        None => Stage::ClientNonce(Box::new(link)),
-    })
-}
-
 /// Answers the client's nonce with the nonce and the proof of the gateway.
-fn challenge(mut link: Line, frame: &Frame, arm: ArmId, key: &SharedKey) -> Result<Stage, &'static str> {
+fn challenge(mut link: TcpLink, frame: &Frame, arm: ArmId, key: &SharedKey) -> Result<Stage, &'static str> {
     let Ok(Handshake::ClientNonce(host)) = Handshake::decode(frame) else {
         let _ = link.try_write(&refusal(arm, RejectReason::KeyMismatch));
         return Err("it does not prove a key");
@@ -420,7 +366,7 @@ fn reject(mut stream: TcpStream, arm: ArmId, reason: RejectReason) {
     }
 }
 
-fn tell_holder(link: &mut KeyedLink<Line>, arm: ArmId, hello: &Frame, holder: SocketAddr) {
+fn tell_holder(link: &mut KeyedLink<TcpLink>, arm: ArmId, hello: &Frame, holder: SocketAddr) {
     let held = GatewayMessage::Held(Holder { address: holder.ip().to_canonical(), port: holder.port() });
     // The connection ends in any case.
     let _ = link.try_write(&held.frame(arm, hello.sequence, 0).encode());

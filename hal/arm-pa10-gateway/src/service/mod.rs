@@ -1,8 +1,7 @@
 //! The running gateway: the core on a thread that keeps the cycle, a connection thread for hosts, and a queue of events for the owner.
 //!
 //! The cycle thread opens nothing, closes nothing, formats nothing and takes no lock: the connection thread opens and closes its
-//! lines, and events go to the owner through a queue of fixed size. It allocates nothing per cycle, except on a line with TLS: rustls
-//! allocates per record (docs/gateway.md has the measured cost).
+//! lines, and events go to the owner through a queue of fixed size. It allocates nothing per cycle.
 
 mod admission;
 mod cycle;

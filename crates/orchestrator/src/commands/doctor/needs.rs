@@ -31,7 +31,7 @@ pub(super) struct Needs {
     pub(super) serial: Option<Vec<String>>,
     /// Keys of the arms' signals that nothing notices; `None` without an arm that has signals.
     pub(super) unknown_signals: Option<Vec<String>>,
-    /// What is wrong with the keys and certificates of TCP lines; `None` without such a line.
+    /// What is wrong with the keys of TCP lines; `None` without such a line.
     pub(super) keys: Option<Result<(), String>>,
     /// ARCNET interfaces.
     pub(super) arcnet: Vec<String>,
