@@ -39,7 +39,7 @@ pub struct GatewayArgs {
     /// Bus to use instead of the configured one: arcnet:INTERFACE or socket:PATH.
     #[arg(long, value_name = "BUS")]
     pub bus: Option<String>,
-    /// Host line to use instead of the configured one: serial:DEVICE or tcp:ADDRESS:PORT.
+    /// Host line to use instead of the configured one: serial:DEVICE, local:PATH or tcp:ADDRESS:PORT.
     #[arg(long, value_name = "LINE")]
     pub host: Option<String>,
     /// Start with the switch on local: no host moves the arm until `remote` is typed here.
@@ -178,6 +178,7 @@ fn bus_opener(target: &BusTarget) -> BusOpener {
 fn host_side(setup: &GatewaySetup) -> Result<HostSide> {
     Ok(match &setup.host {
         HostPlace::Tcp(config) => HostSide::listen(config.address, setup.gateway.arm, read_access(&setup.access)?)?,
+        HostPlace::Local(socket) => HostSide::listen_at_socket(&socket.path, setup.gateway.arm)?,
         HostPlace::Serial(path) => HostSide::Line(Box::new(SerialConfig {
             path: path.clone(),
             baud: setup.baud,
@@ -205,6 +206,7 @@ fn tell_start(setup: &GatewaySetup, server: &GatewayServer) {
     let host = match &setup.host {
         HostPlace::Serial(path) => format!("serial port {path}"),
         HostPlace::Tcp(config) => format!("tcp {}", config.address),
+        HostPlace::Local(socket) => format!("socket {}", socket.path.display()),
     };
     tracing::info!(
         "gateway of arm {}: {}, {}, a cycle of {:?}, host line {host}",

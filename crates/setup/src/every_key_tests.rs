@@ -432,7 +432,7 @@ fn a_search_needs_its_pattern_and_its_permission() {
 /// What a setup whose arms are behind lines refuses.
 #[test]
 fn ways_to_an_arm_that_do_not_fit_are_refused() {
-    let changes: [(Change, &str); 11] = [
+    let changes: [(Change, &str); 12] = [
         (
             |root| drop(arm(root)["gateway"].as_table_mut().unwrap().insert("certificate".into(), "arm.crt".into())),
             "arms.vs.gateway.certificate: this key is gone: the key file alone protects the link to a gateway; remove this one",
@@ -443,7 +443,7 @@ fn ways_to_an_arm_that_do_not_fit_are_refused() {
                 gateway.insert("port".into(), "/dev/ttyUSB0".into());
                 gateway.insert("baud".into(), 921_600.into());
             },
-            "backend = \"emulated\" needs no port, baud, address or key_file: remove port and baud",
+            "backend = \"emulated\" needs no port, baud, address, key_file or socket: remove port and baud",
         ),
         (
             |root| {
@@ -459,6 +459,7 @@ fn ways_to_an_arm_that_do_not_fit_are_refused() {
         (|root| arm(root)["backend"] = "mock".into(), "arms.vs.gateway: an arm with backend = \"mock\" has none"),
         (|root| arm(root)["backend"] = "serial".into(), "\"serial\" needs port and baud: add port and baud"),
         (|root| arm(root)["backend"] = "tcp".into(), "\"tcp\" needs address and key_file: add address and key_file"),
+        (|root| arm(root)["backend"] = "local".into(), "\"local\" needs socket: add socket"),
         (|root| arm(root)["backend"] = "usb".into(), "arms.vs.backend"),
         (
             |root| arm(root)["gateway"]["geometry"] = "first-generation".into(),

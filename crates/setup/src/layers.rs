@@ -535,6 +535,7 @@ impl Layers {
                         change(arm, &["robot"], &resolved);
                         change(arm, &["commissioning_record"], &beside);
                         change(arm, &["gateway", "key_file"], &beside);
+                        change(arm, &["gateway", "socket"], &beside);
                     }
                 }
             }

@@ -327,6 +327,7 @@ pub(super) fn line(wanted: Wanted<'_>) -> Result<Option<(Line<'_>, Option<ArmAnd
             let key = read_shared_key(key_file).with_context(|| format!("{}.gateway.key_file", wanted.arm.key))?;
             (Line::Gateway(link, Box::new(KeyedTcp { tcp: *tcp, key, arm: link.arm })), None)
         }
+        ArmLink::Gateway(link, GatewayWay::Local(socket)) => (Line::Gateway(link, Box::new(socket.clone())), None),
         ArmLink::Bus(link) => (Line::Bus(link), None),
     }))
 }

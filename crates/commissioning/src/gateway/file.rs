@@ -6,6 +6,7 @@ use pb3dp_arm_pa10_protocol::codec::{Axis, SequenceModulus, StatusSignals, Super
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, AxisMotion, BRAKE_TIME_MAX, Firmware, MotionLimits};
 use pb3dp_arm_pa10_protocol::places::BusTarget;
 use pb3dp_arm_pa10_protocol::watchdog::{CommandWatchdog, STOP_AFTER_MAX};
+use pb3dp_hal_platform::local_socket::LocalConfig;
 use pb3dp_hal_platform::realtime::Realtime;
 use pb3dp_hal_platform::tcp::TcpConfig;
 use serde::Deserialize;
@@ -55,16 +56,22 @@ pub enum HostPlace {
     Serial(String),
     /// An address to listen at.
     Tcp(TcpConfig),
+    /// A socket for hosts on this computer.
+    Local(LocalConfig),
 }
 
 impl std::str::FromStr for HostPlace {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let refused =
-            || format!("{text:?} is not a host line: use serial:DEVICE or tcp:ADDRESS:PORT (numbers, no names)");
+        let refused = || {
+            format!(
+                "{text:?} is not a host line: use serial:DEVICE, local:PATH or tcp:ADDRESS:PORT (numbers, no names)"
+            )
+        };
         match text.split_once(':') {
             Some(("serial", device)) if !device.is_empty() => Ok(Self::Serial(device.to_owned())),
+            Some(("local", path)) if !path.is_empty() => Ok(Self::Local(LocalConfig { path: path.into() })),
             Some(("tcp", address)) => {
                 address.parse().map(|address| Self::Tcp(TcpConfig { address })).map_err(|_| refused())
             }

@@ -1,6 +1,7 @@
 //! `pb3dp arm` before `pb3dp gateway`, a mock arm behind it as the controller on the bus.
 
-use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::net::{TcpListener, TcpStream};
+use std::os::unix::net::UnixStream;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -8,13 +9,12 @@ use tempfile::TempDir;
 
 use crate::cli::mock_arm::MockArm;
 use crate::cli::support::{key_file, repository};
-use crate::real_time::arm::{START_DEG, assert_problem, pb3dp_arm, setup_at};
+use crate::real_time::arm::{START_DEG, assert_problem, pb3dp_arm, setup_at, setup_behind};
 use pb3dp_test_support::programs_in_real_time_beside_others;
 
 /// A gateway as a program of its own, and the controller behind it.
 struct Gateway {
     program: Program,
-    address: SocketAddr,
     controller: MockArm,
     _folder: TempDir,
 }
@@ -30,17 +30,16 @@ impl Drop for Program {
 }
 
 impl Gateway {
-    /// With longer times than those of the shipped file: tests run on loaded machines.
-    fn start(stop_after_millis: &str) -> Self {
+    /// At this host line, with longer times than those of the shipped file: tests run on loaded machines.
+    fn start(stop_after_millis: &str, line: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let bus = folder.path().join("bus").display().to_string();
         let mut controller = MockArm::start(&["--bus", &bus, "--watchdog", "400ms", "--pose-deg", START_DEG]);
         controller.line();
-        let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
         let shipped = std::fs::read_to_string(repository().join("configs/gateway.toml")).unwrap();
         let text = [
             ("port = \"arcnet:arc0\"", format!("port = \"socket:{bus}\"")),
-            ("tcp:127.0.0.1:4534", format!("tcp:{address}")),
+            ("tcp:127.0.0.1:4534", line.to_owned()),
             ("\"arm1.key\"", format!("{:?}", key_file())),
             ("cycle_millis = 2.0", "cycle_millis = 10.0".to_owned()),
             ("lateness_allowed_millis = 2.0", "lateness_allowed_millis = 45.0".to_owned()),
@@ -59,11 +58,15 @@ impl Gateway {
         let child = command.args(["gateway", "--config"]).arg(file).stderr(Stdio::null()).spawn().unwrap();
         let program = Program(child);
         let until = Instant::now() + Duration::from_secs(20);
-        while TcpStream::connect(address).is_err() {
+        let listens = || match line.split_once(':').unwrap() {
+            ("tcp", address) => TcpStream::connect(address).is_ok(),
+            (_, path) => UnixStream::connect(path).is_ok(),
+        };
+        while !listens() {
             assert!(Instant::now() < until, "the gateway does not listen");
             std::thread::sleep(Duration::from_millis(10));
         }
-        Self { program, address, controller, _folder: folder }
+        Self { program, controller, _folder: folder }
     }
 
     fn end(self) {
@@ -76,8 +79,9 @@ impl Gateway {
 #[test]
 fn a_gateway_that_stops_later_than_the_limiter_counts_on_moves_nothing() {
     programs_in_real_time_beside_others(|| {
-        let mut gateway = Gateway::start("120.0");
-        let folder = setup_at(&gateway.address.to_string());
+        let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+        let mut gateway = Gateway::start("120.0", &format!("tcp:{address}"));
+        let folder = setup_at(&address.to_string());
         let file = folder.path().join("cell.toml");
         let config = file.display().to_string();
         let values = ["stops the arm 120ms after the last command", "limit 50ms (command_timeout_millis of the arm"];
@@ -90,6 +94,28 @@ fn a_gateway_that_stops_later_than_the_limiter_counts_on_moves_nothing() {
             .unwrap();
         let finished = pb3dp_arm(&config, &["jog", "--axis", "7", "--by", "1"], None).assert_success();
         assert!(finished.stdout.contains("dry run"), "{}", finished.stdout);
+        gateway.end();
+    });
+}
+
+#[test]
+fn an_arm_is_moved_through_a_gateway_of_the_same_computer() {
+    programs_in_real_time_beside_others(|| {
+        let folder = tempfile::tempdir().unwrap();
+        let socket = folder.path().join("arm1.sock").display().to_string();
+        let setup = setup_behind("local", &format!("socket = \"{socket}\""));
+        let config = setup.path().join("cell.toml").display().to_string();
+        assert_problem(&pb3dp_arm(&config, &["probe"], None), &["no program listens at the socket", &socket]);
+        let mut gateway = Gateway::start("50.0", &format!("local:{socket}"));
+        let probed = pb3dp_arm(&config, &["probe", "--exchanges", "20"], None).assert_success();
+        assert!(
+            probed.stdout.contains("gateway: \"pb3dp gateway") && probed.stdout.contains("0 lost"),
+            "{}",
+            probed.stdout
+        );
+        let before = gateway.controller.state();
+        pb3dp_arm(&config, &["jog", "--axis", "7", "--by", "1", "--move"], Some("vs-robot")).assert_success();
+        assert_ne!(gateway.controller.state(), before, "the arm stands elsewhere");
         gateway.end();
     });
 }

@@ -286,7 +286,7 @@ fn what_can_not_be_had_is_refused_with_what_to_do() {
     failed(&["--bus", "arcnet:nix0"], "there is no network interface nix0");
     failed(&["--bus", "arcnet:lo"], "is of type 772, not ARCNET (7)");
     failed(&["--bus", "usb"], "write arcnet:INTERFACE or socket:PATH");
-    failed(&["--host", "tcp:here:1"], "use serial:DEVICE or tcp:ADDRESS:PORT");
+    failed(&["--host", "tcp:here:1"], "use serial:DEVICE, local:PATH or tcp:ADDRESS:PORT");
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let host = format!("tcp:{}", taken.local_addr().unwrap());
     failed(&["--host", &host], "check whether another program uses this port");

@@ -6,6 +6,7 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::{
 };
 use pb3dp_arm_pa10_protocol::places::{BusTarget, GatewayLinkConfig};
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
+use pb3dp_hal_platform::local_socket::LocalConfig;
 use pb3dp_hal_platform::tcp::TcpConfig;
 use pb3dp_kinematics::EffectiveLimits;
 use serde::Deserialize;
@@ -95,6 +96,8 @@ pub enum GatewayWay {
         /// File of the key.
         key_file: PathBuf,
     },
+    /// A socket of a gateway on this computer.
+    Local(LocalConfig),
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -124,6 +127,7 @@ pub(super) struct GatewaySection {
     baud: Option<i64>,
     address: Option<String>,
     key_file: Option<String>,
+    socket: Option<String>,
     signals: Option<SignalsSection>,
 }
 
@@ -151,6 +155,7 @@ impl ArmBackend {
             Self::Emulated => "emulated",
             Self::Serial => "serial",
             Self::Tcp => "tcp",
+            Self::Local => "local",
             Self::Arcnet => "arcnet",
         }
     }
@@ -160,7 +165,7 @@ impl ArmBackend {
     pub(super) fn goes_on_millis(self, control_period_millis: f64) -> f64 {
         match self {
             Self::Mock => control_period_millis,
-            Self::Emulated | Self::Serial | Self::Tcp | Self::Arcnet => {
+            Self::Emulated | Self::Serial | Self::Tcp | Self::Local | Self::Arcnet => {
                 CommandWatchdog::default().stop_after().as_secs_f64() * 1e3
             }
         }
@@ -347,6 +352,7 @@ impl ArmLink {
         match self {
             Self::Gateway(_, GatewayWay::Serial { path, .. }) => Some(("gateway.port", path.clone())),
             Self::Gateway(_, GatewayWay::Tcp { tcp, .. }) => Some(("gateway.address", tcp.address.to_string())),
+            Self::Gateway(_, GatewayWay::Local(local)) => Some(("gateway.socket", local.path.display().to_string())),
             Self::Bus(bus) => Some(("bus.port", bus.target.to_string())),
             Self::InProcess | Self::Gateway(_, GatewayWay::Emulated) => None,
         }
@@ -382,9 +388,9 @@ impl GatewaySection {
             },
         };
         let tcp = self.address.as_ref().zip(self.key_file.as_ref());
-        let way = match (backend, &self.port, self.baud, tcp) {
-            (ArmBackend::Emulated, None, None, None) => GatewayWay::Emulated,
-            (ArmBackend::Serial, Some(path), Some(baud), None) => {
+        let way = match (backend, &self.port, self.baud, tcp, &self.socket) {
+            (ArmBackend::Emulated, None, None, None, None) => GatewayWay::Emulated,
+            (ArmBackend::Serial, Some(path), Some(baud), None, None) => {
                 check.count(&format!("{key}.gateway.baud"), baud, 9600..=12_000_000);
                 let (dialect, format) = (link.dialect, link.format);
                 if let (1.., Err(why)) = (baud, check_line(dialect, format, whole(baud), cycle)) {
@@ -392,7 +398,10 @@ impl GatewaySection {
                 }
                 GatewayWay::Serial { path: path.clone(), baud: whole(baud) }
             }
-            (ArmBackend::Tcp, None, None, Some((address, key_file))) => GatewayWay::Tcp {
+            (ArmBackend::Local, None, None, None, Some(socket)) => {
+                GatewayWay::Local(LocalConfig { path: socket.into() })
+            }
+            (ArmBackend::Tcp, None, None, Some((address, key_file)), None) => GatewayWay::Tcp {
                 tcp: tcp_place(&format!("{key}.gateway.address"), address, check)?,
                 key_file: key_file.into(),
             },
@@ -409,13 +418,17 @@ impl GatewaySection {
         let (needed, needs): (&[&str], &str) = match backend {
             ArmBackend::Serial => (&["port", "baud"], "port and baud"),
             ArmBackend::Tcp => (&["address", "key_file"], "address and key_file"),
-            ArmBackend::Mock | ArmBackend::Emulated | ArmBackend::Arcnet => (&[], "no port, baud, address or key_file"),
+            ArmBackend::Local => (&["socket"], "socket"),
+            ArmBackend::Mock | ArmBackend::Emulated | ArmBackend::Arcnet => {
+                (&[], "no port, baud, address, key_file or socket")
+            }
         };
         let stated = [
             ("port", self.port.is_some()),
             ("baud", self.baud.is_some()),
             ("address", self.address.is_some()),
             ("key_file", self.key_file.is_some()),
+            ("socket", self.socket.is_some()),
         ];
         let named = |is_wrong: &dyn Fn(&str, bool) -> bool| -> Vec<&str> {
             stated.iter().filter(|(key, is_stated)| is_wrong(key, *is_stated)).map(|(key, _)| *key).collect()

@@ -44,11 +44,6 @@ impl<L: ByteLink> KeyedLink<L> {
         Self { link, sealer, opener, unread, unsent }
     }
 
-    /// Makes bytes that were read the next ones to read.
-    pub fn put_back(&mut self, bytes: &[u8]) {
-        self.unread.splice(0..0, bytes.iter().copied());
-    }
-
     fn flush(&mut self) -> Result<(), Unplugged> {
         while !self.unsent.is_empty() {
             match self.link.try_write(&self.unsent)? {

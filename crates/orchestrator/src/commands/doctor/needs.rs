@@ -143,7 +143,7 @@ impl Needs {
                 ArmLink::Gateway(_, GatewayWay::Serial { path, .. }) => serial.push(path.clone()),
                 ArmLink::Bus(config) => arcnet.extend(interface(&config.target)),
                 ArmLink::Gateway(_, GatewayWay::Tcp { .. }) => has_tcp = true,
-                ArmLink::InProcess | ArmLink::Gateway(_, GatewayWay::Emulated) => {}
+                ArmLink::InProcess | ArmLink::Gateway(_, GatewayWay::Emulated | GatewayWay::Local(_)) => {}
             }
         }
         let arms = [&setup.rig.arms.vs, &setup.rig.arms.tc];
@@ -168,6 +168,7 @@ impl Needs {
         let gateway = read_gateway(file, None, None)?;
         let (serial, keys) = match &gateway.host {
             HostPlace::Serial(path) => (vec![path.clone()], None),
+            HostPlace::Local(_) => (Vec::new(), None),
             HostPlace::Tcp(_) => (Vec::new(), Some(in_one_line(read_access(&gateway.access).map(drop)))),
         };
         let general = Self::general(recordings);
