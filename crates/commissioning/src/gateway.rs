@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, Subcommand};
-use pb3dp_arm_pa10::arm::{GatewayIdentity, read_shared_key, write_new_certificate};
+use pb3dp_arm_pa10::arm::read_shared_key;
 use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10_gateway::gateway::GatewayStatus;
 use pb3dp_arm_pa10_gateway::service::{
@@ -39,7 +39,7 @@ pub struct GatewayArgs {
     /// Bus to use instead of the configured one: arcnet:INTERFACE or socket:PATH.
     #[arg(long, value_name = "BUS")]
     pub bus: Option<String>,
-    /// Host line to use instead of the configured one: serial:DEVICE or tcp:ADDRESS:PORT.
+    /// Host line to use instead of the configured one: serial:DEVICE, local:PATH or tcp:ADDRESS:PORT.
     #[arg(long, value_name = "LINE")]
     pub host: Option<String>,
     /// Start with the switch on local: no host moves the arm until `remote` is typed here.
@@ -53,12 +53,6 @@ pub enum GatewayTask {
     /// Make the key that a gateway on TCP shares with its hosts.
     Key {
         /// New file, readable by its owner only; an existing one is not changed.
-        file: PathBuf,
-    },
-    /// Make the certificate with which a gateway on TCP uses TLS.
-    Certificate {
-        /// New file of the certificate; its private key, readable by its owner only, goes to the same name with the ending
-        /// `.tls.key`. Existing files are not changed.
         file: PathBuf,
     },
 }
@@ -81,16 +75,6 @@ pub fn run(args: &GatewayArgs) -> Result<ExitCode> {
         (Some(GatewayTask::Key { file }), _) => {
             write_new_key(file)?;
             tracing::info!("new key in {}: copy it to the computers of the hosts, as their `key_file`", file.display());
-            return Ok(ExitCode::SUCCESS);
-        }
-        (Some(GatewayTask::Certificate { file }), _) => {
-            let key = write_new_certificate(file)?;
-            tracing::info!(
-                "new certificate in {}, its private key in {}: set `access.tls` of the gateway to both, and copy the certificate to the \
-                 computers of the hosts, as their `certificate`",
-                file.display(),
-                key.display()
-            );
             return Ok(ExitCode::SUCCESS);
         }
         (None, Some(config)) => config,
@@ -194,6 +178,7 @@ fn bus_opener(target: &BusTarget) -> BusOpener {
 fn host_side(setup: &GatewaySetup) -> Result<HostSide> {
     Ok(match &setup.host {
         HostPlace::Tcp(config) => HostSide::listen(config.address, setup.gateway.arm, read_access(&setup.access)?)?,
+        HostPlace::Local(socket) => HostSide::listen_at_socket(&socket.path, setup.gateway.arm)?,
         HostPlace::Serial(path) => HostSide::Line(Box::new(SerialConfig {
             path: path.clone(),
             baud: setup.baud,
@@ -205,16 +190,15 @@ fn host_side(setup: &GatewaySetup) -> Result<HostSide> {
     })
 }
 
-/// Reads the key of a gateway on TCP, and its certificate with the private key if it has one.
+/// Reads the key of a gateway on TCP.
 ///
 /// # Errors
-/// If a file cannot be read, others can read a key, or one cannot be used.
+/// If the file cannot be read, others can read it, or it holds no key.
 pub fn read_access(place: &AccessPlace) -> Result<Access> {
     let key = read_shared_key(&place.key_file).context(
         "access.key_file: a gateway on TCP needs a key, because every program on the network could drive the arm without one",
     )?;
-    let tls = place.tls.as_ref().map(|tls| GatewayIdentity::read(&tls.certificate, &tls.key)).transpose();
-    Ok(Access { key, peers: place.peers.clone(), tls: tls.context("access.tls")? })
+    Ok(Access { key, peers: place.peers.clone() })
 }
 
 fn tell_start(setup: &GatewaySetup, server: &GatewayServer) {
@@ -222,6 +206,7 @@ fn tell_start(setup: &GatewaySetup, server: &GatewayServer) {
     let host = match &setup.host {
         HostPlace::Serial(path) => format!("serial port {path}"),
         HostPlace::Tcp(config) => format!("tcp {}", config.address),
+        HostPlace::Local(socket) => format!("socket {}", socket.path.display()),
     };
     tracing::info!(
         "gateway of arm {}: {}, {}, a cycle of {:?}, host line {host}",

@@ -10,6 +10,7 @@ pub(crate) enum ArmBackend {
     Emulated,
     Serial,
     Tcp,
+    Local,
     Arcnet,
 }
 
@@ -17,7 +18,7 @@ pub(crate) enum ArmBackend {
 pub(crate) fn is_real_backend(word: &str) -> bool {
     let known = ArmBackend::deserialize(serde::de::value::StrDeserializer::<serde::de::value::Error>::new(word));
     match known {
-        Ok(ArmBackend::Serial | ArmBackend::Tcp | ArmBackend::Arcnet) => true,
+        Ok(ArmBackend::Serial | ArmBackend::Tcp | ArmBackend::Local | ArmBackend::Arcnet) => true,
         Ok(ArmBackend::Mock | ArmBackend::Emulated) | Err(_) => false,
     }
 }

@@ -419,18 +419,19 @@ fn ways_to_an_arm_that_do_not_fit_are_refused() {
         (
             "hil.toml",
             "arms.vs.gateway.certificate = \"arm.crt\"",
-            "\"emulated\" needs no port, baud, address, key_file or certificate: remove certificate",
+            "arms.vs.gateway.certificate: this key is gone: the key file alone protects the link to a gateway; remove this one",
         ),
         (
             "hil.toml",
             "arms.vs.gateway = { port = \"/dev/ttyUSB0\", baud = 921600 }",
-            "backend = \"emulated\" needs no port, baud, address, key_file or certificate: remove port and baud",
+            "backend = \"emulated\" needs no port, baud, address, key_file or socket: remove port and baud",
         ),
         ("hil.toml", live, "(arms.vs.backend) needs pace = \"live\""),
         ("hil.toml", "-arms.vs.gateway", "arms.vs.gateway: missing"),
         ("hil.toml", "arms.vs.backend = \"mock\"", "arms.vs.gateway: an arm with backend = \"mock\" has none"),
         ("hil.toml", "arms.vs.backend = \"serial\"", "\"serial\" needs port and baud: add port and baud"),
         ("hil.toml", "arms.vs.backend = \"tcp\"", "\"tcp\" needs address and key_file: add address and key_file"),
+        ("hil.toml", "arms.vs.backend = \"local\"", "\"local\" needs socket: add socket"),
         ("hil.toml", "arms.vs.backend = \"usb\"", "arms.vs.backend"),
         (
             "hil.toml",
@@ -457,7 +458,7 @@ fn addresses_that_lead_nowhere_or_to_both_arms_are_refused() {
     let refusal = |vs: &str, tc: &str| {
         let mut sample = Sample::new("hil.toml", |file| read_setup(file).map(drop));
         for (name, address) in [("vs", vs), ("tc", tc)] {
-            let gateway = format!("{{ address = {address:?}, key_file = \"arm.key\", certificate = \"arm.crt\" }}");
+            let gateway = format!("{{ address = {address:?}, key_file = \"arm.key\" }}");
             change_lines(&mut sample.table, &format!("[arms.{name}]\nbackend = \"tcp\"\ngateway = {gateway}"));
         }
         sample.refusal_of(&[])

@@ -524,7 +524,7 @@ impl Layers {
                 folder => built_in::path_of(path)
                     .unwrap_or_else(|| folder.clone().unwrap_or_default().join(path).display().to_string()),
             };
-            // These files need not exist yet: `pb3dp gateway key`, `pb3dp gateway certificate` and `pb3dp arm test` write them.
+            // These files need not exist yet: `pb3dp gateway key` and `pb3dp arm test` write them.
             let beside = |path: &str| folder.clone().unwrap_or_default().join(path).display().to_string();
             for key in ["camera.calibration", "truth.calibration", "mounts.hand_eye"] {
                 change(&mut layer.stated, &position::parts(key), &resolved);
@@ -535,7 +535,7 @@ impl Layers {
                         change(arm, &["robot"], &resolved);
                         change(arm, &["commissioning_record"], &beside);
                         change(arm, &["gateway", "key_file"], &beside);
-                        change(arm, &["gateway", "certificate"], &beside);
+                        change(arm, &["gateway", "socket"], &beside);
                     }
                 }
             }

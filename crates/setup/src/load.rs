@@ -165,6 +165,11 @@ impl ConfigFile {
     }
 }
 
+/// Keys of earlier versions, by their ends, and what to do instead.
+const REMOVED: [(&str, &str); 2] = [("gateway.certificate", NO_TLS), ("access.tls", NO_TLS)];
+const NO_TLS: &str = "the key file alone protects the link to a gateway; remove this one, and where joint angles must be secret, run the \
+                      link through an encrypted tunnel (docs/gateway.md)";
+
 /// More problems are not reported.
 const PROBLEMS_MAX: usize = 300;
 const MISSING: &str = ": missing";
@@ -239,6 +244,9 @@ fn describe(error: &figment::Error) -> String {
             } else {
                 format!("{path}.{field}")
             };
+            if let Some((_, advice)) = REMOVED.iter().find(|(removed, _)| key.ends_with(removed)) {
+                return format!("{key}: this key is gone: {advice}");
+            }
             match nearest(field, expected) {
                 Some(nearest) => format!("{key}: unknown key; did you mean {nearest}?"),
                 None => format!("{key}: unknown key; known here: {}", expected.join(", ")),

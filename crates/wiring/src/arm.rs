@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use pb3dp_arm_pa10::arm::{
-    ArmMonitor, BusArmConfig, KeyedTcp, Pa10Arm, Pa10ArmConfig, PinnedCertificate, REALTIME, TripHandle, TripSeat,
-    VirtualTime, read_shared_key, trip_line, virtual_trip_line,
+    ArmMonitor, BusArmConfig, KeyedTcp, Pa10Arm, Pa10ArmConfig, REALTIME, TripHandle, TripSeat, VirtualTime,
+    read_shared_key, trip_line, virtual_trip_line,
 };
 use pb3dp_arm_pa10::driver::{Activity, DriverConfig, DriverState, LimitsCheck};
 use pb3dp_arm_pa10::serial::SerialConfig;
@@ -345,12 +345,11 @@ pub(super) fn line(wanted: Wanted<'_>) -> Result<Option<(Line<'_>, Option<ArmAnd
         ArmLink::Gateway(link, GatewayWay::Serial { path, baud }) => {
             (Line::Gateway(link, Box::new(SerialConfig::of_link(path.clone(), *baud, link))), None)
         }
-        ArmLink::Gateway(link, GatewayWay::Tcp { tcp, key_file, certificate }) => {
+        ArmLink::Gateway(link, GatewayWay::Tcp { tcp, key_file }) => {
             let key = read_shared_key(key_file).with_context(|| format!("{}.gateway.key_file", wanted.arm.key))?;
-            let certificate = certificate.as_deref().map(PinnedCertificate::read).transpose();
-            let certificate = certificate.with_context(|| format!("{}.gateway.certificate", wanted.arm.key))?;
-            (Line::Gateway(link, Box::new(KeyedTcp { tcp: *tcp, key, arm: link.arm, certificate })), None)
+            (Line::Gateway(link, Box::new(KeyedTcp { tcp: *tcp, key, arm: link.arm })), None)
         }
+        ArmLink::Gateway(link, GatewayWay::Local(socket)) => (Line::Gateway(link, Box::new(socket.clone())), None),
         ArmLink::Bus(link) => (Line::Bus(link), None),
     }))
 }

@@ -211,7 +211,7 @@ pub fn emulate_at_address(
 /// Makes a setup reach an arm by TCP at this address with the key in this file, overriding its file.
 pub fn set_line(setup: &mut Setup, choice: ArmChoice, address: SocketAddr, key_file: PathBuf) {
     if let ArmLink::Gateway(_, way) = &mut choice.of_mut(setup).link {
-        *way = GatewayWay::Tcp { tcp: TcpConfig { address }, key_file, certificate: None };
+        *way = GatewayWay::Tcp { tcp: TcpConfig { address }, key_file };
     }
 }
 

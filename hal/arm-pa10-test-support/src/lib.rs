@@ -22,5 +22,4 @@ pub mod gateway_bench;
 pub mod injection;
 pub mod link_rig;
 pub mod plant_config;
-pub mod tls;
 pub mod world;

@@ -202,7 +202,7 @@ pub fn tcp_side() -> (HostSide, SocketAddr) {
 
 /// A connector to such a port.
 pub fn keyed(address: SocketAddr) -> KeyedTcp {
-    KeyedTcp { tcp: TcpConfig { address }, key: test_key(), arm: ARM, certificate: None }
+    KeyedTcp { tcp: TcpConfig { address }, key: test_key(), arm: ARM }
 }
 
 /// Limits of a slow host, within those of the gateway's shipped file.

@@ -1,13 +1,10 @@
-//! Cost of the records and of TLS against the cycle, and the answers of a gateway to its host with and without an attack, in one run:
+//! Cost of the records against the cycle, and the answers of a gateway to its host with and without an attack, in one run:
 //! `cargo run --release -p pb3dp-arm-pa10 --example gateway_access`. A number after `--` is the number of random strings that the
 //! attacker sends; without it the attack has a fixed duration.
 //!
 //! Host and gateway have a priority of SCHED_FIFO if permitted, as on a rig; the attacker has none.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a measurement")]
-
-#[path = "gateway_access/with_tls.rs"]
-mod with_tls;
 
 use std::hint::black_box;
 use std::io::Write as _;
@@ -22,7 +19,6 @@ use pb3dp_arm_pa10_gateway::service::{BusOpener, GatewayServer, GatewayServerCon
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     Agreement, ArmId, Dialect, Hello, HostMessage, OVERHEAD, SharedKey, Side,
 };
-use pb3dp_arm_pa10_test_support::tls::tls_side;
 use pb3dp_arm_pa10_test_support::world::{ARM, Emulation, asked_limits, gateway_config, home, keyed, ms, tcp_side};
 use pb3dp_hal_platform::realtime::{Realtime, enter, now};
 use pb3dp_hal_platform::transport::{ByteLink, Connector, wait};
@@ -49,12 +45,8 @@ struct Attack {
 fn main() {
     let strings = std::env::args().nth(1).map_or(0, |text| text.parse().unwrap());
     cost();
-    // A thread of its own: the attacker must not inherit its priority.
-    std::thread::spawn(with_tls::cost).join().unwrap();
     let (side, address) = tcp_side();
-    latency("", side, &keyed(address), strings);
-    let (side, host) = tls_side();
-    latency(", with TLS", side, &host, strings);
+    latency(side, &keyed(address), strings);
 }
 
 /// Time to seal and to open one frame, microseconds.
@@ -86,7 +78,7 @@ fn cost() {
     }
 }
 
-fn latency(with: &str, side: HostSide, host: &KeyedTcp, strings: u64) {
+fn latency(side: HostSide, host: &KeyedTcp, strings: u64) {
     let address = host.tcp.address;
     let (gateway, controller) = FrameSocket::pair("bus").unwrap();
     let emulation = Emulation::start(Box::new(controller), Some(ms(400)));
@@ -119,8 +111,8 @@ fn latency(with: &str, side: HostSide, host: &KeyedTcp, strings: u64) {
     }
     attack.is_over.store(true, Ordering::SeqCst);
     attacker.join().unwrap();
-    show(&format!("without attack{with}"), &mut calm);
-    show(&format!("under attack{with}"), &mut attacked);
+    show("without attack", &mut calm);
+    show("under attack", &mut attacked);
     println!(
         "{} connections of the attacker, {} random strings; p99 {:.2} times",
         attack.connections.load(Ordering::SeqCst),

@@ -2,7 +2,6 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout, reason = "helpers of tests")]
 
 mod bus_format;
-mod certificate_files;
 mod chain_injections;
 mod chain_line;
 mod chain_shown;

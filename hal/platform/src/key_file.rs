@@ -104,7 +104,7 @@ pub fn read_key(file: &Path, bytes_min: usize) -> Result<Vec<u8>, KeyFileError> 
 ///
 /// # Errors
 /// If the file cannot be opened; of the kind [`ErrorKind::InvalidInput`] if it is not a regular file.
-pub fn open_regular(file: &Path) -> std::io::Result<File> {
+fn open_regular(file: &Path) -> std::io::Result<File> {
     let opened = File::options().read(true).custom_flags(libc::O_NONBLOCK).open(file)?;
     // Of the open file: the name may lead elsewhere a moment later.
     match opened.metadata()?.is_file() {
@@ -120,7 +120,7 @@ pub fn open_regular(file: &Path) -> std::io::Result<File> {
 ///
 /// # Errors
 /// If the file cannot be read, or others can read it.
-pub fn read_secret(file: &Path) -> Result<Vec<u8>, KeyFileError> {
+fn read_secret(file: &Path) -> Result<Vec<u8>, KeyFileError> {
     let read = |source: std::io::Error| match source.kind() {
         ErrorKind::InvalidInput => KeyFileError::NotRegular { file: file.to_owned() },
         _ => KeyFileError::Read { file: file.to_owned(), source },
@@ -146,17 +146,9 @@ pub fn read_secret(file: &Path) -> Result<Vec<u8>, KeyFileError> {
 pub fn write_new_key(file: &Path) -> Result<(), KeyFileError> {
     let key = random_bytes::<NEW_KEY_BYTES>()?;
     let text: String = key.iter().map(|byte| format!("{byte:02x}")).chain(["\n".to_owned()]).collect();
-    write_new_secret(file, text.as_bytes())
-}
-
-/// Writes a secret to a file that must not exist, with mode 0600.
-///
-/// # Errors
-/// If the file exists or cannot be written.
-pub fn write_new_secret(file: &Path, text: &[u8]) -> Result<(), KeyFileError> {
     let write = |source| KeyFileError::Write { file: file.to_owned(), source };
     let mut opened = File::options().write(true).create_new(true).mode(0o600).open(file).map_err(write)?;
-    opened.write_all(text).map_err(write)?;
+    opened.write_all(text.as_bytes()).map_err(write)?;
     opened.sync_all().map_err(write)
 }
 

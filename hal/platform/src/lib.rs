@@ -1,6 +1,6 @@
 //! Operating-system services for backends. Waiting is Linux only: `ppoll`, `eventfd`.
 //!
-//! * [`transport`]: interface of all byte links, and a pair of them in one process; [`tcp`] and [`pty`] implement it.
+//! * [`transport`]: interface of all byte links, and a pair of them in one process; [`tcp`], [`local_socket`] and [`pty`] implement it.
 //! * [`realtime`], [`signals`]: real-time scheduling and termination signals for a cycle thread.
 //! * [`jitter`], [`witness`]: lateness of a cycle, and of the computer itself.
 //! * [`key_file`]: files of secret keys, and random bytes.
@@ -12,6 +12,7 @@ pub mod certificate;
 pub mod cpu_time;
 pub mod jitter;
 pub mod key_file;
+pub mod local_socket;
 pub mod only_program;
 pub mod pty;
 pub mod realtime;

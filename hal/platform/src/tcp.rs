@@ -1,11 +1,9 @@
 //! TCP connections.
 
-use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
-use std::os::fd::{AsFd, BorrowedFd};
 use std::time::Duration;
 
-use super::transport::{ByteLink, ConnectError, Connector, Unplugged, judge};
+use super::transport::{ByteLink, ConnectError, Connector, SocketLink};
 
 /// Time limit for a gateway to accept.
 const CONNECT_TIMEOUT: Duration = Duration::from_millis(500);
@@ -29,15 +27,9 @@ pub struct TcpError {
 }
 
 /// A TCP connection without send delay.
-#[derive(Debug)]
-pub struct TcpLink {
-    stream: TcpStream,
-    name: String,
-    /// A connection that the other side has closed still accepts bytes for a while.
-    gone: Option<Unplugged>,
-}
+pub type TcpLink = SocketLink<TcpStream>;
 
-impl TcpLink {
+impl SocketLink<TcpStream> {
     /// Connects to a gateway.
     ///
     /// # Errors
@@ -56,35 +48,7 @@ impl TcpLink {
         stream.set_nodelay(true)?;
         stream.set_nonblocking(true)?;
         let name = format!("tcp {}", stream.peer_addr()?);
-        Ok(Self { stream, name, gone: None })
-    }
-}
-
-impl ByteLink for TcpLink {
-    fn name(&self) -> &str {
-        &self.name
-    }
-
-    fn try_read(&mut self, buffer: &mut [u8]) -> Result<usize, Unplugged> {
-        if let Some(gone) = self.gone {
-            return Err(gone);
-        }
-        let read = judge(self.stream.read(buffer), !buffer.is_empty());
-        self.gone = read.err();
-        read
-    }
-
-    fn try_write(&mut self, bytes: &[u8]) -> Result<usize, Unplugged> {
-        if let Some(gone) = self.gone {
-            return Err(gone);
-        }
-        let written = judge(self.stream.write(bytes), false);
-        self.gone = written.err();
-        written
-    }
-
-    fn fd(&self) -> Option<BorrowedFd<'_>> {
-        Some(self.stream.as_fd())
+        Ok(Self::new(stream, name))
     }
 }
 

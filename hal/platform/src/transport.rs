@@ -217,12 +217,49 @@ fn poll_all<const N: usize>(mut fds: [PollFd<'_>; N], timeout: &Timespec) -> [Po
     }
 }
 
-/// One end of a pair of links in one process.
+/// A byte link through a socket.
 #[derive(Debug)]
-pub struct PairLink {
-    stream: UnixStream,
+pub struct SocketLink<S> {
+    stream: S,
     name: String,
+    /// A connection that the other side has closed may still accept bytes for a while: a lost link stays lost.
+    gone: Option<Unplugged>,
 }
+
+impl<S> SocketLink<S> {
+    /// A link through a connection that does not block.
+    pub(crate) fn new(stream: S, name: String) -> Self {
+        Self { stream, name, gone: None }
+    }
+
+    fn unless_gone(&mut self, run: impl FnOnce(&mut S) -> Result<usize, Unplugged>) -> Result<usize, Unplugged> {
+        if let Some(gone) = self.gone {
+            return Err(gone);
+        }
+        run(&mut self.stream).inspect_err(|&gone| self.gone = Some(gone))
+    }
+}
+
+impl<S: Read + Write + AsFd + Send> ByteLink for SocketLink<S> {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn try_read(&mut self, buffer: &mut [u8]) -> Result<usize, Unplugged> {
+        self.unless_gone(|stream| judge(stream.read(buffer), !buffer.is_empty()))
+    }
+
+    fn try_write(&mut self, bytes: &[u8]) -> Result<usize, Unplugged> {
+        self.unless_gone(|stream| judge(stream.write(bytes), false))
+    }
+
+    fn fd(&self) -> Option<BorrowedFd<'_>> {
+        Some(self.stream.as_fd())
+    }
+}
+
+/// One end of a pair of links in one process.
+pub type PairLink = SocketLink<UnixStream>;
 
 /// Creates two links that are each other's peer; dropping one unplugs the other.
 ///
@@ -232,25 +269,7 @@ pub fn pair(name: &str) -> std::io::Result<(PairLink, PairLink)> {
     let (one, other) = UnixStream::pair()?;
     let link = |stream: UnixStream, end: &str| -> std::io::Result<PairLink> {
         stream.set_nonblocking(true)?;
-        Ok(PairLink { stream, name: format!("{name} ({end})") })
+        Ok(SocketLink::new(stream, format!("{name} ({end})")))
     };
     Ok((link(one, "host")?, link(other, "peer")?))
-}
-
-impl ByteLink for PairLink {
-    fn name(&self) -> &str {
-        &self.name
-    }
-
-    fn try_read(&mut self, buffer: &mut [u8]) -> Result<usize, Unplugged> {
-        judge(self.stream.read(buffer), !buffer.is_empty())
-    }
-
-    fn try_write(&mut self, bytes: &[u8]) -> Result<usize, Unplugged> {
-        judge(self.stream.write(bytes), false)
-    }
-
-    fn fd(&self) -> Option<BorrowedFd<'_>> {
-        Some(self.stream.as_fd())
-    }
 }

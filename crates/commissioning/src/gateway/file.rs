@@ -6,6 +6,7 @@ use pb3dp_arm_pa10_protocol::codec::{Axis, SequenceModulus, StatusSignals, Super
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, AxisMotion, BRAKE_TIME_MAX, Firmware, MotionLimits};
 use pb3dp_arm_pa10_protocol::places::BusTarget;
 use pb3dp_arm_pa10_protocol::watchdog::{CommandWatchdog, STOP_AFTER_MAX};
+use pb3dp_hal_platform::local_socket::LocalConfig;
 use pb3dp_hal_platform::realtime::Realtime;
 use pb3dp_hal_platform::tcp::TcpConfig;
 use serde::Deserialize;
@@ -46,18 +47,6 @@ pub struct AccessPlace {
     pub key_file: PathBuf,
     /// Addresses of the hosts.
     pub peers: Vec<IpAddr>,
-    /// Certificate and private key, for TLS.
-    pub tls: Option<TlsPlace>,
-}
-
-/// Where the certificate of a gateway is.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct TlsPlace {
-    /// File of the certificate.
-    pub certificate: PathBuf,
-    /// File of its private key.
-    pub key: PathBuf,
 }
 
 /// Host line of a gateway.
@@ -67,16 +56,22 @@ pub enum HostPlace {
     Serial(String),
     /// An address to listen at.
     Tcp(TcpConfig),
+    /// A socket for hosts on this computer.
+    Local(LocalConfig),
 }
 
 impl std::str::FromStr for HostPlace {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let refused =
-            || format!("{text:?} is not a host line: use serial:DEVICE or tcp:ADDRESS:PORT (numbers, no names)");
+        let refused = || {
+            format!(
+                "{text:?} is not a host line: use serial:DEVICE, local:PATH or tcp:ADDRESS:PORT (numbers, no names)"
+            )
+        };
         match text.split_once(':') {
             Some(("serial", device)) if !device.is_empty() => Ok(Self::Serial(device.to_owned())),
+            Some(("local", path)) if !path.is_empty() => Ok(Self::Local(LocalConfig { path: path.into() })),
             Some(("tcp", address)) => {
                 address.parse().map(|address| Self::Tcp(TcpConfig { address })).map_err(|_| refused())
             }
@@ -156,7 +151,6 @@ struct HostSection {
 struct AccessSection {
     key_file: PathBuf,
     peers: Vec<String>,
-    tls: Option<TlsPlace>,
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -269,11 +263,7 @@ impl AccessSection {
                 )),
             }
         }
-        let tls = self
-            .tls
-            .as_ref()
-            .map(|tls| TlsPlace { certificate: folder.join(&tls.certificate), key: folder.join(&tls.key) });
-        AccessPlace { key_file: folder.join(&self.key_file), peers, tls }
+        AccessPlace { key_file: folder.join(&self.key_file), peers }
     }
 }
 
@@ -375,6 +365,7 @@ mod tests {
             ),
             ("key_file = \"arm1.key\"", "", "access.key_file: missing"),
             ("[realtime]", "[realtime]\nnice = 3", "realtime.nice: unknown key"),
+            ("[access]", "[access]\ntls = { certificate = \"a\", key = \"b\" }", "access.tls: this key is gone"),
             ("s2 = {", "s9 = {", "limits.s2: missing"),
             ("speed_max_rad_per_s = 1.5708, ", "", "limits.w1.speed_max_rad_per_s: missing"),
             (

@@ -44,9 +44,8 @@ impl UnwatchedGateway {
         listener.set_nonblocking(true).unwrap();
         let address = listener.local_addr().unwrap().to_string();
         let key = read_shared_key(&key_file()).unwrap();
-        let admission = Admission::new(listener, ArmId(1), Access::from_this_computer(key));
-        let gateway =
-            KeyedTcp { tcp: TcpConfig { address: gateway.parse().unwrap() }, key, arm: ArmId(1), certificate: None };
+        let admission = Admission::by_tcp(listener, ArmId(1), Access::from_this_computer(key));
+        let gateway = KeyedTcp { tcp: TcpConfig { address: gateway.parse().unwrap() }, key, arm: ArmId(1) };
         let is_running = Arc::new(AtomicBool::new(true));
         let is_plugged = Arc::new(AtomicBool::new(true));
         let (plug, parser) = (Arc::clone(&is_plugged), FrameParser::new(ArmId(1)));

@@ -87,14 +87,15 @@ pub const FIRST_RUN: [&str; 14] = [
 pub const WITHOUT_IMAGES: [&str; 2] = ["--set", "estimator.method=geometric"];
 
 pub fn setup_at(address: &str) -> TempDir {
+    setup_behind("tcp", &format!("address = \"{address}\"\nkey_file = \"{}\"", key_file().display()))
+}
+
+/// With the arm behind a line of this kind, with these keys.
+pub fn setup_behind(backend: &str, keys: &str) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     write_setup(&folder, |vs| {
-        let vs = vs.replacen("backend = \"emulated\"", "backend = \"tcp\"", 1);
-        vs.replacen(
-            "\narm = 1 ",
-            &format!("\naddress = \"{address}\"\nkey_file = \"{}\"\narm = 1 ", key_file().display()),
-            1,
-        )
+        let vs = vs.replacen("backend = \"emulated\"", &format!("backend = \"{backend}\""), 1);
+        vs.replacen("\narm = 1 ", &format!("\n{keys}\narm = 1 "), 1)
     });
     folder
 }

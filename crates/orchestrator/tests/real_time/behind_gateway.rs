@@ -1,7 +1,7 @@
 //! `pb3dp arm` before `pb3dp gateway`, a mock arm behind it as the controller on the bus.
 
-use std::net::{SocketAddr, TcpListener, TcpStream};
-use std::path::Path;
+use std::net::{TcpListener, TcpStream};
+use std::os::unix::net::UnixStream;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -9,15 +9,14 @@ use tempfile::TempDir;
 
 use crate::cli::mock_arm::MockArm;
 use crate::cli::support::{key_file, repository};
-use crate::real_time::arm::{START_DEG, assert_problem, pb3dp_arm, setup_at};
+use crate::real_time::arm::{START_DEG, assert_problem, pb3dp_arm, setup_at, setup_behind};
 use pb3dp_test_support::programs_in_real_time_beside_others;
 
 /// A gateway as a program of its own, and the controller behind it.
 struct Gateway {
     program: Program,
-    address: SocketAddr,
     controller: MockArm,
-    folder: TempDir,
+    _folder: TempDir,
 }
 
 /// Ends with this, also when a test fails.
@@ -31,22 +30,16 @@ impl Drop for Program {
 }
 
 impl Gateway {
-    /// With longer times than those of the shipped file: tests run on loaded machines.
-    fn start(stop_after_millis: &str) -> Self {
-        Self::start_with(stop_after_millis, false)
-    }
-
-    /// The same, with TLS if wanted: its certificate is `arm1.crt` in its folder.
-    fn start_with(stop_after_millis: &str, has_tls: bool) -> Self {
+    /// At this host line, with longer times than those of the shipped file: tests run on loaded machines.
+    fn start(stop_after_millis: &str, line: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let bus = folder.path().join("bus").display().to_string();
         let mut controller = MockArm::start(&["--bus", &bus, "--watchdog", "400ms", "--pose-deg", START_DEG]);
         controller.line();
-        let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
         let shipped = std::fs::read_to_string(repository().join("configs/gateway.toml")).unwrap();
         let text = [
             ("port = \"arcnet:arc0\"", format!("port = \"socket:{bus}\"")),
-            ("tcp:127.0.0.1:4534", format!("tcp:{address}")),
+            ("tcp:127.0.0.1:4534", line.to_owned()),
             ("\"arm1.key\"", format!("{:?}", key_file())),
             ("cycle_millis = 2.0", "cycle_millis = 10.0".to_owned()),
             ("lateness_allowed_millis = 2.0", "lateness_allowed_millis = 45.0".to_owned()),
@@ -55,12 +48,6 @@ impl Gateway {
         ]
         .iter()
         .fold(shipped, |text, (from, to)| crate::cli::support::replaced(&text, from, to));
-        let text = if has_tls {
-            new_certificate(&folder.path().join("arm1.crt"));
-            crate::cli::support::replaced(&text, "\n# tls = {", "\ntls = {")
-        } else {
-            text
-        };
         // The speeds of the drives: the setup moves faster than the shipped gateway allows.
         let text = [("= 0.25,", "= 1.0,"), ("= 0.5,", "= 2.0,"), ("= 1.5708,", "= 6.28,")]
             .iter()
@@ -71,11 +58,15 @@ impl Gateway {
         let child = command.args(["gateway", "--config"]).arg(file).stderr(Stdio::null()).spawn().unwrap();
         let program = Program(child);
         let until = Instant::now() + Duration::from_secs(20);
-        while TcpStream::connect(address).is_err() {
+        let listens = || match line.split_once(':').unwrap() {
+            ("tcp", address) => TcpStream::connect(address).is_ok(),
+            (_, path) => UnixStream::connect(path).is_ok(),
+        };
+        while !listens() {
             assert!(Instant::now() < until, "the gateway does not listen");
             std::thread::sleep(Duration::from_millis(10));
         }
-        Self { program, address, controller, folder }
+        Self { program, controller, _folder: folder }
     }
 
     fn end(self) {
@@ -84,52 +75,13 @@ impl Gateway {
     }
 }
 
-fn new_certificate(file: &Path) {
-    let made = Command::new(env!("CARGO_BIN_EXE_pb3dp")).args(["gateway", "certificate"]).arg(file).output().unwrap();
-    let text = String::from_utf8_lossy(&made.stderr);
-    assert!(made.status.success() && text.contains("arm1.tls.key"), "{text}");
-}
-
-/// An arm is probed over TLS with the certificate of the gateway, and neither without it nor with another one.
-#[test]
-fn an_arm_is_probed_over_tls() {
-    programs_in_real_time_beside_others(|| {
-        let gateway = Gateway::start_with("50.0", true);
-        let folder = setup_at(&gateway.address.to_string());
-        let (file, pinned) = (folder.path().join("cell.toml"), folder.path().join("arm1.crt"));
-        let config = file.display().to_string();
-        let probe = || pb3dp_arm(&config, &["probe", "--exchanges", "20"], None);
-        assert_problem(&probe(), &["accepts TLS only", "gateway.certificate"]);
-        let text = std::fs::read_to_string(&file).unwrap();
-        let text = crate::cli::support::replaced(&text, "\nkey_file = ", "\ncertificate = \"arm1.crt\"\nkey_file = ");
-        std::fs::write(&file, text).unwrap();
-        let missing = probe();
-        assert!(!missing.success, "{}", missing.stdout);
-        let printed = missing.stdout + &missing.stderr;
-        assert!(
-            printed.contains("arms.vs.gateway.certificate") && printed.contains("arm1.crt: cannot be read"),
-            "{printed}"
-        );
-        std::fs::copy(gateway.folder.path().join("arm1.crt"), &pinned).unwrap();
-        let finished = probe().assert_success();
-        assert!(
-            finished.stdout.contains("gateway: \"pb3dp gateway") && finished.stdout.contains("0 lost"),
-            "{}",
-            finished.stdout
-        );
-        std::fs::remove_file(&pinned).unwrap();
-        new_certificate(&pinned);
-        assert_problem(&probe(), &["has another certificate than `gateway.certificate`"]);
-        gateway.end();
-    });
-}
-
 /// R10, R11: the limiter cannot leave room for an arm that goes on for longer than it knows of.
 #[test]
 fn a_gateway_that_stops_later_than_the_limiter_counts_on_moves_nothing() {
     programs_in_real_time_beside_others(|| {
-        let mut gateway = Gateway::start("120.0");
-        let folder = setup_at(&gateway.address.to_string());
+        let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+        let mut gateway = Gateway::start("120.0", &format!("tcp:{address}"));
+        let folder = setup_at(&address.to_string());
         let file = folder.path().join("cell.toml");
         let config = file.display().to_string();
         let values = ["stops the arm 120ms after the last command", "limit 50ms (command_timeout_millis of the arm"];
@@ -142,6 +94,28 @@ fn a_gateway_that_stops_later_than_the_limiter_counts_on_moves_nothing() {
             .unwrap();
         let finished = pb3dp_arm(&config, &["jog", "--axis", "7", "--by", "1"], None).assert_success();
         assert!(finished.stdout.contains("dry run"), "{}", finished.stdout);
+        gateway.end();
+    });
+}
+
+#[test]
+fn an_arm_is_moved_through_a_gateway_of_the_same_computer() {
+    programs_in_real_time_beside_others(|| {
+        let folder = tempfile::tempdir().unwrap();
+        let socket = folder.path().join("arm1.sock").display().to_string();
+        let setup = setup_behind("local", &format!("socket = \"{socket}\""));
+        let config = setup.path().join("cell.toml").display().to_string();
+        assert_problem(&pb3dp_arm(&config, &["probe"], None), &["no program listens at the socket", &socket]);
+        let mut gateway = Gateway::start("50.0", &format!("local:{socket}"));
+        let probed = pb3dp_arm(&config, &["probe", "--exchanges", "20"], None).assert_success();
+        assert!(
+            probed.stdout.contains("gateway: \"pb3dp gateway") && probed.stdout.contains("0 lost"),
+            "{}",
+            probed.stdout
+        );
+        let before = gateway.controller.state();
+        pb3dp_arm(&config, &["jog", "--axis", "7", "--by", "1", "--move"], Some("vs-robot")).assert_success();
+        assert_ne!(gateway.controller.state(), before, "the arm stands elsewhere");
         gateway.end();
     });
 }

@@ -101,7 +101,7 @@ impl Scene {
         let socket = wait_for("the gateway opens its bus", || listener.try_accept().unwrap());
         let emulation = Emulation::start(Box::new(socket), Some(TIME_OUT));
         let key = read_shared_key(&key_file()).unwrap();
-        let mut gateway = KeyedTcp { tcp: TcpConfig { address }, key, arm: ARM, certificate: None };
+        let mut gateway = KeyedTcp { tcp: TcpConfig { address }, key, arm: ARM };
         let link = wait_for("the gateway listens", || gateway.connect().ok());
         let host = Host::new(link, Dialect::GatewayV1);
         Self { child, emulation, host, folder, log_before_stop: None }
@@ -286,7 +286,7 @@ fn what_can_not_be_had_is_refused_with_what_to_do() {
     failed(&["--bus", "arcnet:nix0"], "there is no network interface nix0");
     failed(&["--bus", "arcnet:lo"], "is of type 772, not ARCNET (7)");
     failed(&["--bus", "usb"], "write arcnet:INTERFACE or socket:PATH");
-    failed(&["--host", "tcp:here:1"], "use serial:DEVICE or tcp:ADDRESS:PORT");
+    failed(&["--host", "tcp:here:1"], "use serial:DEVICE, local:PATH or tcp:ADDRESS:PORT");
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let host = format!("tcp:{}", taken.local_addr().unwrap());
     failed(&["--host", &host], "check whether another program uses this port");
@@ -316,30 +316,4 @@ fn a_tcp_gateway_without_a_key_does_not_start() {
     let text = start();
     assert!(text.contains("its mode is 0644, allowed are 0600 and 0400: run `chmod 600"), "{text}");
     assert!(!text.contains(secret.trim()), "{text}");
-}
-
-#[test]
-fn a_gateway_whose_private_key_others_can_read_does_not_start() {
-    let folder = tempfile::tempdir().unwrap();
-    let file = configuration(folder.path(), &folder.path().join("nobody"), "127.0.0.1:0".parse().unwrap());
-    let text = std::fs::read_to_string(&file).unwrap();
-    std::fs::write(&file, text.replace("\n# tls = {", "\ntls = {")).unwrap();
-    let run = |args: &[&str]| {
-        let out = Command::new(env!("CARGO_BIN_EXE_pb3dp")).arg("gateway").args(args).output().unwrap();
-        (out.status.success(), String::from_utf8_lossy(&out.stderr).into_owned())
-    };
-    let start = || run(&["--config", file.to_str().unwrap()]).1;
-    let text = start();
-    assert!(text.contains("access.tls") && text.contains("arm1.crt: cannot be read"), "{text}");
-    let certificate = folder.path().join("arm1.crt");
-    let make = || run(&["certificate", certificate.to_str().unwrap()]);
-    assert!(make().0);
-    let (is_made, text) = make();
-    assert!(!is_made && text.contains("an existing file is never overwritten"), "{text}");
-    assert!(start().contains("no program listens at the socket"), "the certificate is accepted");
-    let key = folder.path().join("arm1.tls.key");
-    std::fs::set_permissions(&key, std::fs::Permissions::from_mode(0o644)).unwrap();
-    let text = start();
-    assert!(text.contains("access.tls") && text.contains("arm1.tls.key: its mode is 0644"), "{text}");
-    assert!(!text.contains("PRIVATE KEY"), "{text}");
 }

@@ -6,6 +6,7 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::{
 };
 use pb3dp_arm_pa10_protocol::places::{BusTarget, GatewayLinkConfig};
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
+use pb3dp_hal_platform::local_socket::LocalConfig;
 use pb3dp_hal_platform::tcp::TcpConfig;
 use pb3dp_kinematics::EffectiveLimits;
 use serde::Deserialize;
@@ -94,9 +95,9 @@ pub enum GatewayWay {
         tcp: TcpConfig,
         /// File of the key.
         key_file: PathBuf,
-        /// File of the gateway's certificate, for TLS.
-        certificate: Option<PathBuf>,
     },
+    /// A socket of a gateway on this computer.
+    Local(LocalConfig),
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -126,7 +127,7 @@ pub(super) struct GatewaySection {
     baud: Option<i64>,
     address: Option<String>,
     key_file: Option<String>,
-    certificate: Option<String>,
+    socket: Option<String>,
     signals: Option<SignalsSection>,
 }
 
@@ -154,6 +155,7 @@ impl ArmBackend {
             Self::Emulated => "emulated",
             Self::Serial => "serial",
             Self::Tcp => "tcp",
+            Self::Local => "local",
             Self::Arcnet => "arcnet",
         }
     }
@@ -163,7 +165,7 @@ impl ArmBackend {
     pub(super) fn goes_on_millis(self, control_period_millis: f64) -> f64 {
         match self {
             Self::Mock => control_period_millis,
-            Self::Emulated | Self::Serial | Self::Tcp | Self::Arcnet => {
+            Self::Emulated | Self::Serial | Self::Tcp | Self::Local | Self::Arcnet => {
                 CommandWatchdog::default().stop_after().as_secs_f64() * 1e3
             }
         }
@@ -350,6 +352,7 @@ impl ArmLink {
         match self {
             Self::Gateway(_, GatewayWay::Serial { path, .. }) => Some(("gateway.port", path.clone())),
             Self::Gateway(_, GatewayWay::Tcp { tcp, .. }) => Some(("gateway.address", tcp.address.to_string())),
+            Self::Gateway(_, GatewayWay::Local(local)) => Some(("gateway.socket", local.path.display().to_string())),
             Self::Bus(bus) => Some(("bus.port", bus.target.to_string())),
             Self::InProcess | Self::Gateway(_, GatewayWay::Emulated) => None,
         }
@@ -385,7 +388,7 @@ impl GatewaySection {
             },
         };
         let tcp = self.address.as_ref().zip(self.key_file.as_ref());
-        let way = match (backend, &self.port, self.baud, tcp, &self.certificate) {
+        let way = match (backend, &self.port, self.baud, tcp, &self.socket) {
             (ArmBackend::Emulated, None, None, None, None) => GatewayWay::Emulated,
             (ArmBackend::Serial, Some(path), Some(baud), None, None) => {
                 check.count(&format!("{key}.gateway.baud"), baud, 9600..=12_000_000);
@@ -395,10 +398,12 @@ impl GatewaySection {
                 }
                 GatewayWay::Serial { path: path.clone(), baud: whole(baud) }
             }
-            (ArmBackend::Tcp, None, None, Some((address, key_file)), certificate) => GatewayWay::Tcp {
+            (ArmBackend::Local, None, None, None, Some(socket)) => {
+                GatewayWay::Local(LocalConfig { path: socket.into() })
+            }
+            (ArmBackend::Tcp, None, None, Some((address, key_file)), None) => GatewayWay::Tcp {
                 tcp: tcp_place(&format!("{key}.gateway.address"), address, check)?,
                 key_file: key_file.into(),
-                certificate: certificate.as_ref().map(PathBuf::from),
             },
             _ => {
                 check.refuse(format!("{key}.gateway: {}", self.wrong_place(backend)));
@@ -413,18 +418,17 @@ impl GatewaySection {
         let (needed, needs): (&[&str], &str) = match backend {
             ArmBackend::Serial => (&["port", "baud"], "port and baud"),
             ArmBackend::Tcp => (&["address", "key_file"], "address and key_file"),
+            ArmBackend::Local => (&["socket"], "socket"),
             ArmBackend::Mock | ArmBackend::Emulated | ArmBackend::Arcnet => {
-                (&[], "no port, baud, address, key_file or certificate")
+                (&[], "no port, baud, address, key_file or socket")
             }
         };
-        // A key that may be missing with TCP, and is needless with the others.
-        let has_certificate = self.certificate.is_some() && backend != ArmBackend::Tcp;
         let stated = [
             ("port", self.port.is_some()),
             ("baud", self.baud.is_some()),
             ("address", self.address.is_some()),
             ("key_file", self.key_file.is_some()),
-            ("certificate", has_certificate),
+            ("socket", self.socket.is_some()),
         ];
         let named = |is_wrong: &dyn Fn(&str, bool) -> bool| -> Vec<&str> {
             stated.iter().filter(|(key, is_stated)| is_wrong(key, *is_stated)).map(|(key, _)| *key).collect()

@@ -290,7 +290,7 @@ impl Line {
                 let listener = TcpListener::bind(address)
                     .and_then(|listener| listener.set_nonblocking(true).map(|()| listener))
                     .map_err(|source| MockServerError::Tcp { address, source })?;
-                Self::Tcp(Box::new(Admission::new(listener, gateway.arm, access)), None)
+                Self::Tcp(Box::new(Admission::by_tcp(listener, gateway.arm, access)), None)
             }
             MockFace::Link(_, link) => Self::Link(Some(link)),
             MockFace::BusSocket(path) => Self::BusSocket(FrameListener::bind(&path)?, path, None),

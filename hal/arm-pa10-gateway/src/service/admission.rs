@@ -1,23 +1,25 @@
-//! Who may talk to a gateway on TCP: connections become hosts only here, outside the cycle thread.
+//! Who may talk to a gateway on TCP or at a socket of this computer: connections become hosts only here, outside the cycle thread.
 //!
-//! A connection comes from an address on the list, completes the TLS handshake if the gateway has a certificate, proves the key and sends
-//! HELLO, in this order, within a limited time and without another byte in between. All others are closed, and the cycle thread never
-//! learns of them.
+//! A connection by TCP comes from an address on the list, proves the key and sends HELLO, in this order, within a limited time and without
+//! another byte in between. At a socket the kernel shows the user of the other program, and HELLO is enough. All others are closed, and
+//! the cycle thread never learns of them.
 
-use std::io::{ErrorKind, Write as _};
-use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream};
+use std::fmt;
+use std::io::ErrorKind;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener};
 use std::os::fd::{AsFd, BorrowedFd};
 use std::time::Duration;
 
-use pb3dp_arm_pa10::arm::{GatewayIdentity, HandshakeError, KeyedLink, TlsLink};
+use pb3dp_arm_pa10::arm::KeyedLink;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    Agreement, ArmId, FRAME_BYTES_MAX, FirstFrame, Frame, GatewayMessage, HELLO, Handshake, Holder, Reject,
+    Agreement, ArmId, FRAME_BYTES_MAX, FirstFrame, Frame, FrameBytes, GatewayMessage, HELLO, Handshake, Holder, Reject,
     RejectReason, SharedKey, Side, first_frame,
 };
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_platform::key_file::random_bytes;
+use pb3dp_hal_platform::local_socket::{LocalListener, LocalSocketError};
 use pb3dp_hal_platform::tcp::TcpLink;
-use pb3dp_hal_platform::transport::ByteLink;
+use pb3dp_hal_platform::transport::{ByteLink, Unplugged};
 
 /// Time from the connection to HELLO: a host needs some milliseconds, and gives up after as long.
 pub const OPENING_MAX: Duration = Duration::from_millis(500);
@@ -38,9 +40,6 @@ const PAUSE: Duration = Duration::from_millis(50);
 /// Shortest time between two messages about refused connections.
 const REPORTED_EVERY: Duration = Duration::from_secs(1);
 
-/// First byte of a connection with TLS: the content type of its first record (RFC 8446, section 5.1).
-const TLS_HANDSHAKE: u8 = 22;
-
 /// Whom a gateway on TCP admits.
 #[derive(Clone, Debug)]
 pub struct Access {
@@ -48,14 +47,12 @@ pub struct Access {
     pub key: SharedKey,
     /// Addresses of the hosts.
     pub peers: Vec<IpAddr>,
-    /// Certificate of the gateway: hosts must use TLS if there is one, and must not without one.
-    pub tls: Option<GatewayIdentity>,
 }
 
 impl Access {
     /// Access with this key from this computer only.
     pub fn from_this_computer(key: SharedKey) -> Self {
-        Self { key, peers: vec![Ipv4Addr::LOCALHOST.into(), Ipv6Addr::LOCALHOST.into()], tls: None }
+        Self { key, peers: vec![Ipv4Addr::LOCALHOST.into(), Ipv6Addr::LOCALHOST.into()] }
     }
 }
 
@@ -64,7 +61,25 @@ pub struct Admitted {
     /// The connection.
     pub link: Box<dyn ByteLink>,
     /// Its other end.
-    pub peer: SocketAddr,
+    pub peer: Peer,
+}
+
+/// The other end of a connection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Peer {
+    /// By TCP.
+    Address(SocketAddr),
+    /// A program of this computer.
+    Local,
+}
+
+impl fmt::Display for Peer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Address(address) => write!(f, "{address}"),
+            Self::Local => write!(f, "a program of this computer"),
+        }
+    }
 }
 
 /// Counts of connections.
@@ -76,11 +91,16 @@ pub struct AdmissionCounters {
     pub refused: u64,
 }
 
-/// Admits hosts at a TCP port.
+/// Where hosts connect, and what they must show.
+enum Listener {
+    Tcp(TcpListener, Access),
+    Local(LocalListener),
+}
+
+/// Admits hosts.
 pub struct Admission {
-    listener: TcpListener,
+    listener: Listener,
     arm: ArmId,
-    access: Access,
     waiting: Vec<Opening>,
     budget: Budget,
     accepts_again: MonotonicTime,
@@ -104,22 +124,34 @@ struct RefusalLog {
 
 /// A connection before its first command.
 struct Opening {
-    peer: SocketAddr,
+    peer: Peer,
     ends: MonotonicTime,
     stage: Stage,
     bytes: [u8; FRAME_BYTES_MAX],
     length: usize,
 }
 
-/// A TCP connection, with or without TLS.
-type Line = Box<dyn ByteLink>;
-
 enum Stage {
-    Tls(Box<TlsLink<TcpLink>>),
-    ClientNonce(Line),
-    Proof(Line, Box<Agreement>),
-    Hello(Box<KeyedLink<Line>>),
+    ClientNonce(TcpLink, SharedKey),
+    Proof(TcpLink, Box<Agreement>),
+    Hello(Box<dyn ByteLink>),
     Gone,
+}
+
+/// What a listener has.
+enum Next {
+    Nothing,
+    /// The system gives no connection: the listener stays readable.
+    Failed,
+    Connection(Stage, Peer),
+    Refused(Peer, &'static str),
+}
+
+/// A link after its first frame, which is read once more.
+struct Replayed {
+    first: FrameBytes,
+    read: usize,
+    link: Box<dyn ByteLink>,
 }
 
 /// What became of a connection.
@@ -130,13 +162,21 @@ enum Outcome {
 }
 
 impl Admission {
-    /// Admits hosts of an arm at this listener, which must not block.
-    pub fn new(listener: TcpListener, arm: ArmId, access: Access) -> Self {
+    /// Admits hosts of an arm by TCP, at a listener that does not block.
+    pub fn by_tcp(listener: TcpListener, arm: ArmId, access: Access) -> Self {
+        Self::new(Listener::Tcp(listener, access), arm)
+    }
+
+    /// Admits programs of this computer.
+    pub fn by_socket(listener: LocalListener, arm: ArmId) -> Self {
+        Self::new(Listener::Local(listener), arm)
+    }
+
+    fn new(listener: Listener, arm: ArmId) -> Self {
         let start = MonotonicTime::ZERO;
         Self {
             listener,
             arm,
-            access,
             waiting: Vec::with_capacity(WAITING_MAX),
             budget: Budget { left: CONNECTIONS_PER_SECOND, since: start },
             accepts_again: start,
@@ -145,9 +185,12 @@ impl Admission {
         }
     }
 
-    /// Address of the listener.
+    /// Address of the listener, if it is TCP.
     pub fn address(&self) -> Option<SocketAddr> {
-        self.listener.local_addr().ok()
+        match &self.listener {
+            Listener::Tcp(listener, _) => listener.local_addr().ok(),
+            Listener::Local(_) => None,
+        }
     }
 
     /// Counts so far.
@@ -156,16 +199,11 @@ impl Admission {
     }
 
     /// The next host, if one has proven its key and sent HELLO. If another host holds the gateway, that one is refused by name.
-    pub fn poll(
-        &mut self,
-        now: MonotonicTime,
-        holder: Option<SocketAddr>,
-        tell: &mut dyn FnMut(String),
-    ) -> Option<Admitted> {
+    pub fn poll(&mut self, now: MonotonicTime, holder: Option<Peer>, tell: &mut dyn FnMut(String)) -> Option<Admitted> {
         self.accept(now, tell);
         let mut index = 0;
         while index < self.waiting.len() {
-            let outcome = self.waiting[index].advance(now, self.arm, &self.access.key);
+            let outcome = self.waiting[index].advance(now, self.arm);
             match outcome {
                 Outcome::Waits => index += 1,
                 Outcome::Refused(why) => {
@@ -177,12 +215,12 @@ impl Admission {
                         continue;
                     };
                     if let Some(holder) = holder {
-                        tell_holder(&mut link, self.arm, &hello, holder);
+                        tell_holder(link.as_mut(), self.arm, &hello, holder);
                         self.refuse(now, peer, "another host is connected", tell);
                         continue;
                     }
-                    link.put_back(&hello.encode());
                     self.counters.admitted += 1;
+                    let link = Box::new(Replayed { first: hello.encode(), read: 0, link });
                     return Some(Admitted { link, peer });
                 }
             }
@@ -193,7 +231,7 @@ impl Admission {
     /// What to wait for: new connections, unless there was a flood, and the next bytes of those that are examined.
     pub fn fds(&self, now: MonotonicTime) -> Vec<BorrowedFd<'_>> {
         let listener = (now >= self.accepts_again).then(|| self.listener.as_fd());
-        listener.into_iter().chain(self.waiting.iter().filter_map(Opening::fd)).collect()
+        listener.into_iter().chain(self.waiting.iter().filter_map(|opening| opening.stage.link()?.fd())).collect()
     }
 
     fn accept(&mut self, now: MonotonicTime, tell: &mut dyn FnMut(String)) {
@@ -201,34 +239,31 @@ impl Admission {
             return;
         }
         for _ in 0..ACCEPTED_MAX {
-            let (stream, peer) = match self.listener.accept() {
-                Ok(accepted) => accepted,
-                Err(error) => {
-                    // Without file descriptors the listener stays readable.
-                    if error.kind() != ErrorKind::WouldBlock {
-                        self.accepts_again = now + PAUSE;
-                    }
-                    return;
+            let (mut stage, peer) = match self.listener.next() {
+                Next::Connection(stage, peer) => (stage, peer),
+                Next::Refused(peer, why) => {
+                    self.refuse(now, peer, why, tell);
+                    continue;
                 }
+                Next::Nothing => return,
+                Next::Failed => break,
             };
-            let (reason, why) = if !self.access.peers.contains(&peer.ip().to_canonical()) {
+            let (reason, why) = if !self.listener.is_listed(peer) {
                 (RejectReason::PeerNotAllowed, "its address is not on the list")
             } else if self.waiting.len() >= WAITING_MAX || !self.budget.take(now) {
                 self.accepts_again = now + PAUSE;
                 (RejectReason::TooManyPeers, "too many new connections")
-            } else if let Some(stage) = begin(stream, self.access.tls.as_ref()) {
+            } else {
                 self.waiting.push(Opening::new(stage, peer, now + OPENING_MAX));
                 continue;
-            } else {
-                continue;
             };
-            reject(stream, self.arm, reason);
+            stage.reject(self.arm, reason);
             self.refuse(now, peer, why, tell);
         }
         self.accepts_again = now + PAUSE;
     }
 
-    fn refuse(&mut self, now: MonotonicTime, peer: SocketAddr, why: &str, tell: &mut dyn FnMut(String)) {
+    fn refuse(&mut self, now: MonotonicTime, peer: Peer, why: &str, tell: &mut dyn FnMut(String)) {
         self.counters.refused += 1;
         if now < self.log.again {
             self.log.untold += 1;
@@ -240,6 +275,66 @@ impl Admission {
         };
         self.log.again = now + REPORTED_EVERY;
         tell(format!("a connection from {peer} was turned away: {why}{more}"));
+    }
+}
+
+impl Listener {
+    fn next(&self) -> Next {
+        let failed = |kind| if kind == ErrorKind::WouldBlock { Next::Nothing } else { Next::Failed };
+        match self {
+            Self::Tcp(listener, access) => match listener.accept() {
+                Ok((stream, address)) => match TcpLink::from_stream(stream) {
+                    Ok(link) => Next::Connection(Stage::ClientNonce(link, access.key), Peer::Address(address)),
+                    Err(_) => Next::Refused(Peer::Address(address), "it closed the connection without a frame"),
+                },
+                Err(error) => failed(error.kind()),
+            },
+            Self::Local(listener) => match listener.accept() {
+                Ok(Some(link)) => Next::Connection(Stage::Hello(Box::new(link)), Peer::Local),
+                Ok(None) => Next::Nothing,
+                Err(LocalSocketError::OtherUser { .. }) => Next::Refused(Peer::Local, "it belongs to another user"),
+                Err(_) => Next::Failed,
+            },
+        }
+    }
+
+    fn is_listed(&self, peer: Peer) -> bool {
+        match (self, peer) {
+            (Self::Tcp(_, access), Peer::Address(address)) => access.peers.contains(&address.ip().to_canonical()),
+            _ => true,
+        }
+    }
+
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        match self {
+            Self::Tcp(listener, _) => listener.as_fd(),
+            Self::Local(listener) => listener.as_fd(),
+        }
+    }
+}
+
+impl Stage {
+    fn link(&self) -> Option<&dyn ByteLink> {
+        match self {
+            Self::ClientNonce(link, _) | Self::Proof(link, _) => Some(link),
+            Self::Hello(link) => Some(link.as_ref()),
+            Self::Gone => None,
+        }
+    }
+
+    fn link_mut(&mut self) -> Option<&mut dyn ByteLink> {
+        match self {
+            Self::ClientNonce(link, _) | Self::Proof(link, _) => Some(link),
+            Self::Hello(link) => Some(link.as_mut()),
+            Self::Gone => None,
+        }
+    }
+
+    fn reject(&mut self, arm: ArmId, reason: RejectReason) {
+        if let Some(link) = self.link_mut() {
+            // The connection ends in any case.
+            let _ = link.try_write(&refusal(arm, reason));
+        }
     }
 }
 
@@ -255,48 +350,29 @@ impl Budget {
 }
 
 impl Opening {
-    fn new(stage: Stage, peer: SocketAddr, ends: MonotonicTime) -> Self {
+    fn new(stage: Stage, peer: Peer, ends: MonotonicTime) -> Self {
         Self { peer, ends, stage, bytes: [0; FRAME_BYTES_MAX], length: 0 }
     }
 
-    fn fd(&self) -> Option<BorrowedFd<'_>> {
-        match &self.stage {
-            Stage::Tls(link) => link.fd(),
-            Stage::ClientNonce(link) | Stage::Proof(link, _) => link.fd(),
-            Stage::Hello(link) => link.fd(),
-            Stage::Gone => None,
-        }
-    }
-
-    fn link(&mut self) -> Option<&mut dyn ByteLink> {
-        match &mut self.stage {
-            // Refusals before the handshake are for a host without TLS.
-            Stage::Tls(link) => Some(link.line()),
-            Stage::ClientNonce(link) | Stage::Proof(link, _) => Some(link),
-            Stage::Hello(link) => Some(link.as_mut()),
-            Stage::Gone => None,
-        }
-    }
-
-    fn advance(&mut self, now: MonotonicTime, arm: ArmId, key: &SharedKey) -> Outcome {
-        let waits = |ends, late| if now >= ends { Outcome::Refused(late) } else { Outcome::Waits };
-        match self.encrypt(arm) {
-            Ok(true) => {}
-            Ok(false) => return waits(self.ends, "it did not complete the TLS handshake in time"),
-            Err(why) => return Outcome::Refused(why),
-        }
+    fn advance(&mut self, now: MonotonicTime, arm: ArmId) -> Outcome {
         loop {
-            let frame = match self.read(arm) {
+            let frame = match self.read() {
                 Ok(Some(frame)) => frame,
-                Ok(None) => return waits(self.ends, "it did not prove the key in time"),
+                Ok(None) if now >= self.ends => {
+                    return Outcome::Refused(match self.peer {
+                        Peer::Address(_) => "it did not prove the key in time",
+                        Peer::Local => "it did not send HELLO in time",
+                    });
+                }
+                Ok(None) => return Outcome::Waits,
                 Err(why) => return Outcome::Refused(why),
             };
             if frame.arm != arm {
-                self.reject(arm, RejectReason::WrongArm);
+                self.stage.reject(arm, RejectReason::WrongArm);
                 return Outcome::Refused("it wants another arm");
             }
             self.stage = match std::mem::replace(&mut self.stage, Stage::Gone) {
-                Stage::ClientNonce(link) => match challenge(link, &frame, arm, key) {
+                Stage::ClientNonce(link, key) => match challenge(link, &frame, arm, key) {
                     Ok(next) => next,
                     Err(why) => return Outcome::Refused(why),
                 },
@@ -306,7 +382,7 @@ impl Opening {
                     }
                     _ => {
                         self.stage = Stage::Proof(link, agreement);
-                        self.reject(arm, RejectReason::KeyMismatch);
+                        self.stage.reject(arm, RejectReason::KeyMismatch);
                         return Outcome::Refused("it has another key");
                     }
                 },
@@ -314,52 +390,24 @@ impl Opening {
                     self.stage = Stage::Hello(link);
                     return Outcome::Hello(frame);
                 }
-                Stage::Tls(_) | Stage::Hello(_) | Stage::Gone => {
-                    return Outcome::Refused("it did not begin with HELLO");
-                }
+                Stage::Hello(_) | Stage::Gone => return Outcome::Refused("it did not begin with HELLO"),
             };
         }
     }
 
-    /// Goes on with the TLS handshake; whether it is complete, or there is none.
-    fn encrypt(&mut self, arm: ArmId) -> Result<bool, &'static str> {
-        let Stage::Tls(link) = &mut self.stage else { return Ok(true) };
-        match link.advance_handshake() {
-            Ok(true) => {}
-            Ok(false) => return Ok(false),
-            Err(HandshakeError::Plain { .. }) => {
-                self.reject(arm, RejectReason::TlsMismatch);
-                return Err("it uses no TLS");
-            }
-            Err(HandshakeError::Tls(rustls::Error::AlertReceived(_))) => {
-                return Err("it refuses the certificate of this gateway, or its TLS");
-            }
-            Err(HandshakeError::Tls(_)) => return Err("its TLS handshake is wrong"),
-            Err(HandshakeError::Gone(_)) => return Err("it closed the connection during the TLS handshake"),
-        }
-        if let Stage::Tls(link) = std::mem::replace(&mut self.stage, Stage::Gone) {
-            self.stage = Stage::ClientNonce(link);
-        }
-        Ok(true)
-    }
-
     /// The next frame, and no byte more.
-    fn read(&mut self, arm: ArmId) -> Result<Option<Frame>, &'static str> {
+    fn read(&mut self) -> Result<Option<Frame>, &'static str> {
         loop {
             let needed = match first_frame(&self.bytes[..self.length]) {
                 FirstFrame::Frame { frame, .. } => {
                     self.length = 0;
                     return Ok(Some(frame));
                 }
-                FirstFrame::None if self.bytes[0] == TLS_HANDSHAKE => {
-                    self.reject(arm, RejectReason::TlsMismatch);
-                    return Err("it uses TLS, and `access.tls` is not set");
-                }
                 FirstFrame::None => return Err("it sent something else than a frame"),
                 FirstFrame::Incomplete { needed } => needed,
             };
             let (mut bytes, length) = (self.bytes, self.length);
-            let Some(link) = self.link() else { return Err("it is closed") };
+            let Some(link) = self.stage.link_mut() else { return Err("it is closed") };
             match link.try_read(&mut bytes[length..needed]) {
                 Ok(0) => return Ok(None),
                 Ok(count) => (self.bytes, self.length) = (bytes, length + count),
@@ -372,36 +420,22 @@ impl Opening {
     fn why_closed(&self) -> &'static str {
         match self.stage {
             Stage::Proof(..) => "it closed the connection instead of proving the key: most likely it has another key",
-            Stage::Hello(_) => "it closed the connection, or sent a record that is not authentic",
-            Stage::Tls(_) | Stage::ClientNonce(_) | Stage::Gone => "it closed the connection without a frame",
+            Stage::Hello(_) if self.peer != Peer::Local => {
+                "it closed the connection, or sent a record that is not authentic"
+            }
+            Stage::ClientNonce(..) | Stage::Hello(_) | Stage::Gone => "it closed the connection without a frame",
         }
     }
-
-    fn reject(&mut self, arm: ArmId, reason: RejectReason) {
-        if let Some(link) = self.link() {
-            // The connection ends in any case.
-            let _ = link.try_write(&refusal(arm, reason));
-        }
-    }
-}
-
-/// A connection that was accepted, with TLS if there is a certificate; `None` if it is gone already.
-fn begin(stream: TcpStream, tls: Option<&GatewayIdentity>) -> Option<Stage> {
-    let link = TcpLink::from_stream(stream).ok()?;
-    Some(match tls {
-        Some(identity) => Stage::Tls(Box::new(identity.accept(link).ok()?)),
-        None => Stage::ClientNonce(Box::new(link)),
-    })
 }
 
 /// Answers the client's nonce with the nonce and the proof of the gateway.
-fn challenge(mut link: Line, frame: &Frame, arm: ArmId, key: &SharedKey) -> Result<Stage, &'static str> {
+fn challenge(mut link: TcpLink, frame: &Frame, arm: ArmId, key: SharedKey) -> Result<Stage, &'static str> {
     let Ok(Handshake::ClientNonce(host)) = Handshake::decode(frame) else {
         let _ = link.try_write(&refusal(arm, RejectReason::KeyMismatch));
         return Err("it does not prove a key");
     };
     let nonce = random_bytes().map_err(|_| "the system gives no random bytes")?;
-    let agreement = Agreement::new(*key, arm, host, nonce);
+    let agreement = Agreement::new(key, arm, host, nonce);
     let answer = Handshake::Challenge(nonce, agreement.proof(Side::Gateway)).frame(arm).encode();
     match link.try_write(&answer) {
         Ok(count) if count == answer.len() => Ok(Stage::Proof(link, Box::new(agreement))),
@@ -409,19 +443,48 @@ fn challenge(mut link: Line, frame: &Frame, arm: ArmId, key: &SharedKey) -> Resu
     }
 }
 
-fn refusal(arm: ArmId, reason: RejectReason) -> pb3dp_arm_pa10_protocol::gateway_protocol::FrameBytes {
+fn refusal(arm: ArmId, reason: RejectReason) -> FrameBytes {
     GatewayMessage::Reject(Reject { reason, frame_type: 0, detail: 0 }).frame(arm, 0, 0).encode()
 }
 
-/// A refusal on a connection that is closed at once.
-fn reject(mut stream: TcpStream, arm: ArmId, reason: RejectReason) {
-    if stream.set_nonblocking(true).is_ok() {
-        let _ = stream.write(&refusal(arm, reason));
-    }
-}
-
-fn tell_holder(link: &mut KeyedLink<Line>, arm: ArmId, hello: &Frame, holder: SocketAddr) {
-    let held = GatewayMessage::Held(Holder { address: holder.ip().to_canonical(), port: holder.port() });
+fn tell_holder(link: &mut dyn ByteLink, arm: ArmId, hello: &Frame, holder: Peer) {
+    let held = GatewayMessage::Held(match holder {
+        Peer::Address(address) => Holder { address: address.ip().to_canonical(), port: address.port() },
+        Peer::Local => Holder { address: Ipv4Addr::LOCALHOST.into(), port: 0 },
+    });
     // The connection ends in any case.
     let _ = link.try_write(&held.frame(arm, hello.sequence, 0).encode());
+}
+
+impl ByteLink for Replayed {
+    fn name(&self) -> &str {
+        self.link.name()
+    }
+
+    fn try_read(&mut self, buffer: &mut [u8]) -> Result<usize, Unplugged> {
+        let left = &self.first[self.read..];
+        if left.is_empty() {
+            return self.link.try_read(buffer);
+        }
+        let count = left.len().min(buffer.len());
+        buffer[..count].copy_from_slice(&left[..count]);
+        self.read += count;
+        Ok(count)
+    }
+
+    fn try_write(&mut self, bytes: &[u8]) -> Result<usize, Unplugged> {
+        self.link.try_write(bytes)
+    }
+
+    fn fd(&self) -> Option<BorrowedFd<'_>> {
+        self.link.fd()
+    }
+
+    fn has_unread(&self) -> bool {
+        self.read < self.first.len() || self.link.has_unread()
+    }
+
+    fn warning(&self) -> Option<String> {
+        self.link.warning()
+    }
 }

@@ -1,6 +1,5 @@
 //! The connection thread: opens lines for the cycle thread, and closes those that are done.
 
-use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -12,7 +11,7 @@ use pb3dp_hal_platform::realtime::{now, sleep_until};
 use pb3dp_hal_platform::transport::{ByteLink, Connector};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
-use super::admission::{Admission, Admitted};
+use super::admission::{Admission, Admitted, Peer};
 use super::{BusOpener, HostSide, Shared};
 
 /// Time between two attempts to open a line.
@@ -111,7 +110,7 @@ impl Listener {
                 self.open_bus(&mut bus);
             }
             match &mut self.host {
-                HostSide::Tcp(admission) => {
+                HostSide::Admission(admission) => {
                     admit(admission, &mut holder, (&self.shared, &self.lines), &self.tell);
                 }
                 HostSide::Line(connector) => {
@@ -168,7 +167,7 @@ fn open_line(
 /// Waits briefly for a host, and hands it over unless another one is connected.
 fn admit(
     admission: &mut Admission,
-    holder: &mut Option<SocketAddr>,
+    holder: &mut Option<Peer>,
     (shared, lines): (&Shared, &LineEnds),
     tell: &SyncSender<String>,
 ) {

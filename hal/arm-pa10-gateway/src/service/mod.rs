@@ -1,8 +1,7 @@
 //! The running gateway: the core on a thread that keeps the cycle, a connection thread for hosts, and a queue of events for the owner.
 //!
 //! The cycle thread opens nothing, closes nothing, formats nothing and takes no lock: the connection thread opens and closes its
-//! lines, and events go to the owner through a queue of fixed size. It allocates nothing per cycle, except on a line with TLS: rustls
-//! allocates per record (docs/gateway.md has the measured cost).
+//! lines, and events go to the owner through a queue of fixed size. It allocates nothing per cycle.
 
 mod admission;
 mod cycle;
@@ -10,6 +9,7 @@ mod events;
 mod listener;
 
 use std::net::{SocketAddr, TcpListener};
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, sync_channel};
@@ -21,6 +21,7 @@ use events::EventQueue;
 use listener::{Lines, Listener};
 use pb3dp_arm_pa10::bus::BusPort;
 use pb3dp_arm_pa10_protocol::gateway_protocol::ArmId;
+use pb3dp_hal_platform::local_socket::{LocalListener, LocalSocketError};
 use pb3dp_hal_platform::realtime::{self, Realtime, Shortfall};
 use pb3dp_hal_platform::transport::{ConnectError, Connector};
 use rustix::event::{EventfdFlags, eventfd};
@@ -28,7 +29,7 @@ use rustix::fd::OwnedFd;
 
 use crate::gateway::{Gateway, GatewayConfig, GatewayConfigError, GatewayStatus};
 
-pub use admission::{Access, Admission, AdmissionCounters, Admitted, OPENING_MAX};
+pub use admission::{Access, Admission, AdmissionCounters, Admitted, OPENING_MAX, Peer};
 pub use events::{GatewayEvent, Happened};
 
 /// Opens the bus, and opens it again after it was down.
@@ -36,8 +37,8 @@ pub type BusOpener = Box<dyn FnMut() -> Result<Box<dyn BusPort>, ConnectError> +
 
 /// Transport to the hosts.
 pub enum HostSide {
-    /// TCP: one host at a time, of those that have the key.
-    Tcp(Admission),
+    /// TCP, or a socket of this computer: one host at a time, of those that are admitted.
+    Admission(Admission),
     /// A line that is opened again after it was unplugged.
     Line(Box<dyn Connector>),
 }
@@ -71,6 +72,9 @@ pub enum GatewayServerError {
         #[source]
         source: std::io::Error,
     },
+    /// The gateway cannot listen at the socket.
+    #[error(transparent)]
+    Socket(#[from] LocalSocketError),
 }
 
 /// State shared between the threads.
@@ -136,13 +140,21 @@ impl HostSide {
         let listen = |source| GatewayServerError::Listen { address, source };
         let listener = TcpListener::bind(address).map_err(listen)?;
         listener.set_nonblocking(true).map_err(listen)?;
-        Ok(Self::Tcp(Admission::new(listener, arm, access)))
+        Ok(Self::Admission(Admission::by_tcp(listener, arm, access)))
+    }
+
+    /// Listens at a socket of this computer for hosts of this arm.
+    ///
+    /// # Errors
+    /// If another program listens there, or other users may write into its folder.
+    pub fn listen_at_socket(path: &Path, arm: ArmId) -> Result<Self, GatewayServerError> {
+        Ok(Self::Admission(Admission::by_socket(LocalListener::bind(path)?, arm)))
     }
 
     /// Address of the listener, if it is TCP.
     pub fn address(&self) -> Option<SocketAddr> {
         match self {
-            Self::Tcp(admission) => admission.address(),
+            Self::Admission(admission) => admission.address(),
             Self::Line(_) => None,
         }
     }

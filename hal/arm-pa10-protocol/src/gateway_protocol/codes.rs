@@ -129,7 +129,7 @@ codes! {
         TooManyPeers = 14, "too-many-peers";
         /// The proof of the key is wrong.
         KeyMismatch = 15, "key-mismatch";
-        /// One side uses TLS, the other one does not.
+        /// From gateways of earlier versions, which could demand TLS.
         TlsMismatch = 16, "tls-mismatch";
     }
 }

@@ -199,7 +199,11 @@ pub struct Holder {
 
 impl std::fmt::Display for Holder {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{} port {}", self.address, self.port)
+        match self.port {
+            // A socket of the gateway's computer has no port.
+            0 => write!(f, "this computer"),
+            port => write!(f, "{} port {port}", self.address),
+        }
     }
 }
 

@@ -14,8 +14,6 @@ use pb3dp_hal_platform::tcp::{TcpConfig, TcpLink};
 use pb3dp_hal_platform::transport::{ByteLink, ConnectError, Connector, Symptom, Unplugged, wait};
 use pb3dp_message_codes::codes;
 
-use super::certificate::PinnedCertificate;
-use super::tls::{HandshakeError, TlsLink};
 use crate::link::HELLO_TIMEOUT;
 
 /// Bytes that are read at once.
@@ -44,11 +42,6 @@ impl<L: ByteLink> KeyedLink<L> {
         let (sealer, opener) = agreement.records(side);
         let (unread, unsent) = (Vec::with_capacity(2 * PIECE), Vec::with_capacity(UNSENT_MAX));
         Self { link, sealer, opener, unread, unsent }
-    }
-
-    /// Makes bytes that were read the next ones to read.
-    pub fn put_back(&mut self, bytes: &[u8]) {
-        self.unread.splice(0..0, bytes.iter().copied());
     }
 
     fn flush(&mut self) -> Result<(), Unplugged> {
@@ -135,8 +128,6 @@ pub struct KeyedTcp {
     pub key: SharedKey,
     /// The arm at the gateway.
     pub arm: ArmId,
-    /// The certificate of the gateway, for TLS; without one the frames are authentic and not encrypted.
-    pub certificate: Option<PinnedCertificate>,
 }
 
 /// Why a gateway on TCP lets this host not in, or is not trusted by it.
@@ -189,47 +180,11 @@ pub enum AccessError {
     /// No nonce.
     #[error(transparent)]
     Random(#[from] KeyFileError),
-    /// The gateway wants TLS, this host has no certificate of it.
-    #[error(
-        "the gateway at {target} accepts TLS only: copy its certificate to this computer, and name it in `gateway.certificate` of this arm"
-    )]
-    TlsRequired {
-        /// The gateway.
-        target: String,
-    },
-    /// This host wants TLS, the gateway has no certificate.
-    #[error(
-        "the gateway at {target} uses no TLS: set `access.tls` in the gateway's file, or remove `gateway.certificate` of this arm"
-    )]
-    TlsNotOffered {
-        /// The gateway.
-        target: String,
-    },
-    /// The gateway shows another certificate.
-    #[error(
-        "the gateway at {target} has another certificate than `gateway.certificate` of this arm: find out whether this is the gateway, \
-         then copy its certificate again"
-    )]
-    OtherCertificate {
-        /// The gateway.
-        target: String,
-    },
-    /// The TLS connection fails for another reason.
-    #[error(
-        "no TLS connection to the gateway at {target}: check which program listens there, and compare the versions"
-    )]
-    Tls {
-        /// The gateway.
-        target: String,
-        /// The reason.
-        #[source]
-        source: rustls::Error,
-    },
 }
 
 impl Connector for KeyedTcp {
     fn connect(&mut self) -> Result<Box<dyn ByteLink>, ConnectError> {
-        Ok(self.open(TcpLink::connect(&self.tcp)?)?)
+        Ok(Box::new(self.open(TcpLink::connect(&self.tcp)?)?))
     }
 
     fn target(&self) -> String {
@@ -238,62 +193,17 @@ impl Connector for KeyedTcp {
 }
 
 impl KeyedTcp {
-    /// Makes a link to the gateway of an open connection: TLS if there is a certificate, then the proofs of the key.
-    ///
-    /// # Errors
-    /// If the gateway refuses this host, has another key or certificate, or does not answer in time.
-    pub fn open<L: ByteLink + 'static>(&self, link: L) -> Result<Box<dyn ByteLink>, AccessError> {
-        Ok(match &self.certificate {
-            Some(certificate) => Box::new(self.prove(self.encrypt(certificate, link)?)?),
-            None => Box::new(self.prove(link)?),
-        })
-    }
-
-    /// The TLS handshake with the gateway of this certificate.
-    fn encrypt<L: ByteLink>(&self, pinned: &PinnedCertificate, link: L) -> Result<TlsLink<L>, AccessError> {
-        let target = || self.target();
-        let failed = |source| AccessError::Tls { target: self.target(), source };
-        let mut link = pinned.connect(link, &self.tcp).map_err(failed)?;
-        let end = now() + HELLO_TIMEOUT;
-        loop {
-            match link.advance_handshake() {
-                Ok(true) => return Ok(link),
-                Ok(false) => {}
-                Err(HandshakeError::Plain { bytes }) => return Err(self.refusal_without_tls(link.into_line(), &bytes)),
-                Err(HandshakeError::Gone(source)) => return Err(AccessError::Closed { target: target(), source }),
-                Err(HandshakeError::Tls(rustls::Error::InvalidCertificate(_))) => {
-                    return Err(AccessError::OtherCertificate { target: target() });
-                }
-                Err(HandshakeError::Tls(source)) => return Err(failed(source)),
-            }
-            let left = end.saturating_since(now());
-            if left == Duration::ZERO {
-                return Err(AccessError::NoChallenge { target: target() });
-            }
-            wait(Some(&link), false, None, left);
-        }
-    }
-
-    /// Why the gateway answers TLS with a frame: it refuses the connection, and says why.
-    fn refusal_without_tls(&self, mut link: impl ByteLink, bytes: &[u8]) -> AccessError {
-        let frame = read_frame(&mut link, bytes).ok().flatten();
-        match frame.as_ref().map(GatewayMessage::decode) {
-            Some(Ok(GatewayMessage::Reject(reject))) => self.refusal(reject.reason),
-            _ => AccessError::TlsNotOffered { target: self.target() },
-        }
-    }
-
     /// Proves the key on an open connection, and checks that the gateway has it.
     ///
     /// # Errors
     /// If the gateway refuses this host, has another key or does not answer in time.
-    pub fn prove<L: ByteLink>(&self, mut link: L) -> Result<KeyedLink<L>, AccessError> {
+    pub fn open<L: ByteLink>(&self, mut link: L) -> Result<KeyedLink<L>, AccessError> {
         let target = || self.target();
         let closed = |source| AccessError::Closed { target: self.target(), source };
         let nonce = random_bytes()?;
         // A refusal may be on its way although the gateway no longer reads.
         let sent = write_all(&mut link, &Handshake::ClientNonce(nonce).frame(self.arm).encode());
-        let frame = match read_frame(&mut link, &[]) {
+        let frame = match read_frame(&mut link) {
             Ok(Some(frame)) => frame,
             Ok(None) => return Err(AccessError::NoChallenge { target: target() }),
             Err(gone) => return Err(closed(sent.err().unwrap_or(gone))),
@@ -319,8 +229,6 @@ impl KeyedTcp {
             RejectReason::PeerNotAllowed => AccessError::PeerNotAllowed { target },
             RejectReason::TooManyPeers => AccessError::TooManyPeers { target },
             RejectReason::KeyMismatch => AccessError::KeyMismatch { target },
-            RejectReason::TlsMismatch if self.certificate.is_some() => AccessError::TlsNotOffered { target },
-            RejectReason::TlsMismatch => AccessError::TlsRequired { target },
             reason => AccessError::Refused { target, reason },
         }
     }
@@ -335,11 +243,10 @@ fn write_all(link: &mut impl ByteLink, bytes: &[u8]) -> Result<(), Unplugged> {
     Ok(())
 }
 
-/// Reads one frame, which may begin with bytes that were read, and no byte more; `None` if none comes in time, or other bytes do.
-fn read_frame(link: &mut impl ByteLink, begin: &[u8]) -> Result<Option<Frame>, Unplugged> {
+/// Reads one frame and no byte more; `None` if none comes in time, or other bytes do.
+fn read_frame(link: &mut impl ByteLink) -> Result<Option<Frame>, Unplugged> {
     let (mut bytes, end) = ([0; FRAME_BYTES_MAX], now() + HELLO_TIMEOUT);
-    let mut length = begin.len().min(FRAME_BYTES_MAX);
-    bytes[..length].copy_from_slice(&begin[..length]);
+    let mut length = 0;
     loop {
         let needed = match first_frame(&bytes[..length]) {
             FirstFrame::Frame { frame, .. } => return Ok(Some(frame)),
@@ -367,9 +274,5 @@ codes! {
         NoChallenge = "PB3DP-ARM-605": "The other side is no gateway with a key, or is too slow."; "Check address, number of the arm and versions.";
         Closed = "PB3DP-ARM-606": "The gateway closed the connection before it was open."; "Look at the gateway's log.";
         Random = "PB3DP-ARM-607": "The operating system gives no random bytes."; "Start the computer again; report it with the version of the kernel.";
-        TlsRequired = "PB3DP-ARM-608": "The gateway accepts TLS only, and the setup names no certificate of it."; "Copy the gateway's certificate to this computer, and name it in `gateway.certificate` of the arm.";
-        TlsNotOffered = "PB3DP-ARM-609": "The setup names a certificate, and the gateway uses no TLS."; "Set `access.tls` in the gateway's file, or remove `gateway.certificate` of the arm.";
-        OtherCertificate = "PB3DP-ARM-610": "The gateway shows another certificate than the one of the setup: it has a new one, or something else answers at its address."; "Find out which program answers there. If it is the gateway, copy its certificate to this computer again.";
-        Tls = "PB3DP-ARM-611": "The TLS handshake with the gateway failed. The message names the reason."; "Check which program listens at the address, and compare the versions of both sides.";
     }
 }

@@ -6,7 +6,6 @@
 //! stop each other.
 
 mod bus_port;
-mod certificate;
 mod closer;
 mod config;
 mod gateway_port;
@@ -14,7 +13,6 @@ mod keyed;
 mod port;
 mod request;
 mod shared;
-mod tls;
 mod trace;
 mod trip_line;
 mod virtual_time;
@@ -45,12 +43,10 @@ use self::trace::Tracer;
 use self::worker::{Progress, RELEASE_MAX, RequestResult, Worker};
 use crate::driver::{Activity, Driver, DriverConfig, Trip};
 
-pub use certificate::{CertificateFileError, GatewayIdentity, PinnedCertificate, write_new_certificate};
 pub use config::{ArmOpenError, BusArmConfig, Pa10ArmConfig, REALTIME};
 pub use keyed::{AccessError, KeyedLink, KeyedTcp, read_shared_key};
 pub use request::RequestError;
 pub use shared::{ArmMonitor, ArmSnapshot};
-pub use tls::{HandshakeError, TlsLink};
 pub use trace::{Direction, RawBytes};
 pub use trip_line::{TripHandle, TripSeat, trip_line, virtual_trip_line};
 pub use virtual_time::{VirtualFarEnd, VirtualTime};

@@ -106,7 +106,7 @@ fn a_dripping_peer_locks_nobody_out() {
 fn refused_hosts_receive_the_reason() {
     let (side, address) = tcp_side();
     let (server, _emulation) = start(side);
-    let refusal = |host: KeyedTcp| host.prove(TcpLink::connect(&host.tcp).unwrap()).err().unwrap();
+    let refusal = |host: KeyedTcp| host.open(TcpLink::connect(&host.tcp).unwrap()).err().unwrap();
     let other = KeyedTcp { key: SharedKey::new(&[1; 32]).unwrap(), ..keyed(address) };
     assert!(matches!(refusal(other), AccessError::KeyMismatch { .. }));
     // The host closes first; the log of the gateway must name the keys, too.
@@ -119,7 +119,7 @@ fn refused_hosts_receive_the_reason() {
     let other = KeyedTcp { arm: ArmId(ARM.0 + 1), ..keyed(address) };
     let refused = refusal(other).to_string();
     assert!(refused.contains("refused the connection: wrong-arm"), "{refused}");
-    let access = Access { key: test_key(), peers: vec!["192.0.2.7".parse().unwrap()], tls: None };
+    let access = Access { key: test_key(), peers: vec!["192.0.2.7".parse().unwrap()] };
     let side = HostSide::listen("127.0.0.1:0".parse().unwrap(), ARM, access).unwrap();
     let address = side.address().unwrap();
     let (_server, _emulation) = start(side);
@@ -155,7 +155,7 @@ fn a_replayed_connection_drives_no_arm() {
         let (server, emulation, address) = started();
         let capture = Arc::new(Mutex::new(Vec::new()));
         let link = Tapped(TcpLink::connect(&TcpConfig { address }).unwrap(), Arc::clone(&capture));
-        let mut host = Host::new(Box::new(keyed(address).prove(link).unwrap()), Dialect::GatewayV1);
+        let mut host = Host::new(Box::new(keyed(address).open(link).unwrap()), Dialect::GatewayV1);
         host.open();
         host.lead_to_moving();
         drop(host);

@@ -72,7 +72,7 @@ fn records_that_are_repeated_exchanged_or_left_out_end_the_connection_and_the_mo
             let wanted = Arc::new(AtomicU8::new(0));
             let line = TcpLink::connect(&TcpConfig { address }).unwrap();
             let line = Meddled { line, wanted: Arc::clone(&wanted), held: None };
-            let mut host = Host::new(Box::new(keyed(address).prove(line).unwrap()), Dialect::GatewayV1);
+            let mut host = Host::new(Box::new(keyed(address).open(line).unwrap()), Dialect::GatewayV1);
             host.open();
             host.lead_to_moving();
             assert!(!emulation.observed().is_braked);

@@ -20,6 +20,7 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, GatewayState, StopCause
 use pb3dp_arm_pa10_test_support::world::{
     ARM, Emulation, FORMAT, Host, LONG, gateway_config, home, keyed, ms, tcp_side, test_key, velocity,
 };
+use pb3dp_hal_platform::local_socket::LocalConfig;
 use pb3dp_hal_platform::pty::Pty;
 use pb3dp_hal_platform::realtime::{self, Realtime};
 use pb3dp_hal_platform::transport::Connector;
@@ -193,29 +194,44 @@ fn unplugged_in_motion() {
 
 #[test]
 fn a_host_whose_connection_ends_in_motion_is_silent_and_the_next_one_has_to_reset() {
-    in_real_time_beside_others(connection_ends_in_motion);
+    in_real_time_beside_others(|| {
+        let (side, address) = tcp_side();
+        connection_ends_in_motion(side, || connect(address, Dialect::GatewayV1), "127.0.0.1 port ");
+    });
 }
 
-fn connection_ends_in_motion() {
-    let (side, address) = tcp_side();
+#[test]
+fn the_same_holds_for_a_host_on_the_computer_of_the_gateway() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("arm1.sock");
+    let config = LocalConfig { path: path.clone() };
+    in_real_time_beside_others(move || {
+        let side = HostSide::listen_at_socket(&path, ARM).unwrap();
+        let connect = || Host::new(config.clone().connect().unwrap(), Dialect::GatewayV1);
+        connection_ends_in_motion(side, connect, "this computer: end the program there");
+    });
+    assert!(!folder.path().join("arm1.sock").exists(), "the socket vanishes with the gateway");
+}
+
+fn connection_ends_in_motion(side: HostSide, connect: impl Fn() -> Host, holder: &str) {
     let (server, emulation) = server(side);
     let witness = Witness(&server);
-    let mut host = connect(address, Dialect::GatewayV1);
+    let mut host = connect();
     host.open();
     host.lead_to_moving();
     // While this host is connected, others are refused, and learn by whom it is held.
-    let mut second = connect(address, Dialect::GatewayV1);
+    let mut second = connect();
     second.link.open(realtime::now());
     assert!(second.run_for(LONG, |host| host.link.hello_error().is_some()));
     let refused = second.link.hello_error().unwrap().to_string();
-    assert!(refused.contains("the gateway is held by the host at 127.0.0.1 port "), "{refused}");
+    assert!(refused.contains(&format!("the gateway is held by the host at {holder}")), "{refused}");
     messages_until(&server, "was turned away: another host is connected");
     assert!(second.run_for(LONG, |host| host.is_gone));
     host.must_be(DriverState::Moving);
     // As after kill -9 of the host.
     drop(host);
     emulation.wait_for("braked", |observed| observed.is_braked && observed.mode == ControlMode::Adjustment);
-    let mut next = connect(address, Dialect::GatewayV1);
+    let mut next = connect();
     next.open();
     assert_eq!(next.link.hello().unwrap().cause, StopCause::HostSilent);
     next.do_it(Request::Connect);

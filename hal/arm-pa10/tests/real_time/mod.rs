@@ -2,7 +2,6 @@
 
 mod gateway_access;
 mod gateway_on_the_wire;
-mod gateway_tls;
 mod io_arm;
 mod io_arm_cell;
 mod io_arm_conformance;

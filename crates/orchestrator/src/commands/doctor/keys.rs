@@ -1,4 +1,4 @@
-//! Keys and certificates of lines by TCP.
+//! Keys of lines by TCP.
 
 use super::needs::Needs;
 use pb3dp_cell::finding::Finding;
@@ -8,7 +8,7 @@ pub(super) fn check(needs: &Needs) -> Option<Finding> {
     const CHECK: &str = "key files";
     let advice = "as the message says; if another user runs the gateway or pb3dp, check as that user (docs/gateway.md)";
     Some(match needs.keys.as_ref()? {
-        Ok(()) => Finding::pass(CHECK, "the keys and certificates of the TCP lines can be used"),
+        Ok(()) => Finding::pass(CHECK, "the keys of the TCP lines can be used"),
         Err(why) => Finding::fail(CHECK, why, advice),
     })
 }

@@ -31,7 +31,7 @@ pub(super) struct Needs {
     pub(super) serial: Option<Vec<String>>,
     /// Keys of the arms' signals that nothing notices; `None` without an arm that has signals.
     pub(super) unknown_signals: Option<Vec<String>>,
-    /// What is wrong with the keys and certificates of TCP lines; `None` without such a line.
+    /// What is wrong with the keys of TCP lines; `None` without such a line.
     pub(super) keys: Option<Result<(), String>>,
     /// ARCNET interfaces.
     pub(super) arcnet: Vec<String>,
@@ -143,7 +143,7 @@ impl Needs {
                 ArmLink::Gateway(_, GatewayWay::Serial { path, .. }) => serial.push(path.clone()),
                 ArmLink::Bus(config) => arcnet.extend(interface(&config.target)),
                 ArmLink::Gateway(_, GatewayWay::Tcp { .. }) => has_tcp = true,
-                ArmLink::InProcess | ArmLink::Gateway(_, GatewayWay::Emulated) => {}
+                ArmLink::InProcess | ArmLink::Gateway(_, GatewayWay::Emulated | GatewayWay::Local(_)) => {}
             }
         }
         let arms = [&setup.rig.arms.vs, &setup.rig.arms.tc];
@@ -168,6 +168,7 @@ impl Needs {
         let gateway = read_gateway(file, None, None)?;
         let (serial, keys) = match &gateway.host {
             HostPlace::Serial(path) => (vec![path.clone()], None),
+            HostPlace::Local(_) => (Vec::new(), None),
             HostPlace::Tcp(_) => (Vec::new(), Some(in_one_line(read_access(&gateway.access).map(drop)))),
         };
         let general = Self::general(recordings);
