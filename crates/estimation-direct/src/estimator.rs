@@ -12,14 +12,9 @@ use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::StereoRig;
 
 use super::cold_start::{COPY_SCORE_MIN, ColdStart, ColdStartConfig};
-use super::colour_planes::Wanted;
 use super::compression::{RowPair, is_of_blocks};
 use super::directions::tell;
-use super::disparity_plane::{DisparityPlane, DisparityRange, inverse_depth_from_disparity};
 use super::final_plane::final_plane;
-use super::front_end::StereoFrontEnd;
-use super::raw_view::RawView;
-use super::region_pyramid::{PyramidSource, RegionPyramid};
 use super::shape::{self, ShapePixel};
 use super::spread::{Spread, include_second};
 pub use super::surface_plane::SurfacePlane;
@@ -31,6 +26,11 @@ use super::verdict::{
 };
 use crate::outcome::{ColdStartOutcome, Rival, UnlimitedPlane};
 use pb3dp_estimation_core::rig_errors::RigErrors;
+use pb3dp_estimation_views::colour_planes::Wanted;
+use pb3dp_estimation_views::disparity_plane::{DisparityPlane, DisparityRange, inverse_depth_from_disparity};
+use pb3dp_estimation_views::front_end::StereoFrontEnd;
+use pb3dp_estimation_views::raw_view::RawView;
+use pb3dp_estimation_views::region_pyramid::{PyramidSource, RegionPyramid};
 
 /// Parameters of the direct method.
 #[derive(Clone, Debug, Default, PartialEq)]

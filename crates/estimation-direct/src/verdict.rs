@@ -2,9 +2,9 @@
 
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::status::{Status, Verdict};
+use pb3dp_estimation_views::disparity_plane::DisparityPlane;
 use pb3dp_geometry::ranges;
 
-use crate::disparity_plane::DisparityPlane;
 use crate::outcome::{ColdStartOutcome, Rival, support_of};
 use crate::surface_choice::SurfaceChoice;
 
@@ -296,7 +296,7 @@ mod tests {
     use super::*;
     use crate::outcome::Surface;
     use crate::patches::PatchOutcome;
-    use crate::region_pyramid::LevelPlane;
+    use pb3dp_estimation_views::region_pyramid::LevelPlane;
 
     /// Patches that mix several surfaces support none of them; single disparities lie on the plane.
     #[test]

@@ -8,7 +8,7 @@ use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, KnownMode
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::{Region, RegionMask};
 use pb3dp_estimation_core::status::Status;
-use pb3dp_estimation_direct::image_plane::PixelWindow;
+use pb3dp_estimation_views::image_plane::PixelWindow;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Model};
 
