@@ -1,6 +1,7 @@
 //! The direct method on single pairs.
 
 use nalgebra::{Matrix3, Point3, Vector2, Vector3};
+use pb3dp_estimation_core::Argument;
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, SecondPlane};
@@ -168,7 +169,8 @@ impl DirectEstimator {
             let is_beyond = spread.is_some_and(|spread| spread.is_tilted_beyond(&pose, range.tilt_max_rad));
             if is_beyond && estimate.status.depth_is_sure() {
                 estimate.status = Status::Ambiguous;
-                estimate.reason.push_str(", but the tilt is out of range: raise the limit (--tilt-max)");
+                estimate.reason +=
+                    &format!(", but the tilt is out of range: raise the limit ({})", Argument::TiltLimit);
             }
         }
     }
