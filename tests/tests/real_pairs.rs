@@ -128,7 +128,7 @@ fn a_board_outside_the_depth_range_is_not_sure_of_its_alias() {
         assert!(!(z_min_m..z_max_m).contains(&z_m), "the truth, {z_m} m, is outside");
         let found = direct(&case, &images, false);
         assert_eq!(found.status.as_str(), "ambiguous", "{z_min_m} to {z_max_m} m: {}", found.reason);
-        assert!(found.reason.contains("widen it (--z-range)"), "{}", found.reason);
+        assert!(found.reason.contains("widen it (SearchRange)"), "{}", found.reason);
     }
 }
 
@@ -152,7 +152,7 @@ fn a_part_of_a_board_outside_the_depth_range_is_not_sure_of_anything() {
         let found = direct(&case, &case.load_images().unwrap(), true);
         let what = format!("{name} {x} {y}: {}: {}", found.status, found.reason);
         assert!(!found.status.depth_is_sure(), "{what}");
-        assert!(found.reason.contains("(--z-range)"), "{what}");
+        assert!(found.reason.contains("(SearchRange)"), "{what}");
     }
 }
 

@@ -108,15 +108,14 @@ pub fn line_at(text: &str, position: usize) -> usize {
     text[..position].matches('\n').count() + 1
 }
 
-/// Offset of the `{` that opens the body, `None` for a declaration without one.
-fn body_start(signature: &str) -> Option<usize> {
+/// Offset of the `{` or the `;` at which the head of an item ends.
+fn head_end(signature: &str) -> Option<usize> {
     let mut depth = 0_i32;
     for (i, c) in signature.char_indices() {
         match c {
             '(' | '[' => depth += 1,
             ')' | ']' => depth -= 1,
-            '{' if depth == 0 => return Some(i),
-            ';' if depth == 0 => return None,
+            '{' | ';' if depth == 0 => return Some(i),
             _ => {}
         }
     }
@@ -138,12 +137,32 @@ fn matching_brace(code: &str, open: usize) -> Option<usize> {
     None
 }
 
+/// The items of a file or a body in braces: what stands before the braces or the semicolon of each, without attributes, and what is between
+/// the braces.
+pub fn items(code: &str) -> Vec<(&str, &str)> {
+    let (mut found, mut rest) = (Vec::new(), code);
+    while let Some(end) = head_end(rest) {
+        let close = if rest[end..].starts_with('{') { matching_brace(rest, end) } else { Some(end) };
+        let Some(close) = close else { break };
+        let mut head = rest[..end].trim();
+        while let Some(attribute) = head.strip_prefix('#') {
+            head = attribute.split_once(']').map_or("", |(_, head)| head.trim_start());
+        }
+        if !head.is_empty() {
+            found.push((head, rest.get(end + 1..close).unwrap_or_default()));
+        }
+        rest = &rest[close + 1..];
+    }
+    found
+}
+
 /// Code in which every item with `#[cfg(test)]` and a body in braces is replaced by spaces.
 pub fn without_test_items(code: &str) -> String {
     let mut kept = code.to_owned();
     for (at, mark) in code.match_indices("#[cfg(test)]") {
-        let end = body_start(&code[at + mark.len()..])
+        let end = head_end(&code[at + mark.len()..])
             .map(|offset| at + mark.len() + offset)
+            .filter(|&open| code[open..].starts_with('{'))
             .and_then(|open| matching_brace(code, open));
         if let Some(end) = end {
             let blank: String = code[at..=end].chars().map(|c| if c == '\n' { '\n' } else { ' ' }).collect();
@@ -161,9 +180,7 @@ pub fn paths(code: &str) -> Vec<(usize, String)> {
     let mut found = Vec::new();
     for at in word_positions(code, "use") {
         let tree = code[at + 3..].split(';').next().unwrap_or_default();
-        expand_use_tree("", &tree.split_whitespace().collect::<Vec<_>>().join(" "), &mut |path| {
-            found.push((line_at(code, at), path));
-        });
+        found.extend(used_paths(tree).into_iter().map(|path| (line_at(code, at), path)));
     }
     let mut at = 0;
     while let Some(offset) = code[at..].find(is_word) {
@@ -174,6 +191,13 @@ pub fn paths(code: &str) -> Vec<(usize, String)> {
         }
         at = end;
     }
+    found
+}
+
+/// The paths of a `use` tree.
+pub fn used_paths(tree: &str) -> Vec<String> {
+    let mut found = Vec::new();
+    expand_use_tree("", &tree.split_whitespace().collect::<Vec<_>>().join(" "), &mut |path| found.push(path));
     found
 }
 
@@ -230,6 +254,19 @@ mod tests {
         );
         assert!(code.contains("fn a()") && code.contains("fn c()") && !code.contains("std::fs"));
         assert_eq!(line_at(&code, code.find("fn c").expect("kept")), 4);
+    }
+
+    #[test]
+    fn items_are_separated() {
+        let code = "#[derive(A)]\npub struct B { pub c: [u8; 2] }\npub use d::{E, F};\nconst G: [u8; 2] = [1, 2];\nimpl B { fn h() {} }";
+        let heads: Vec<_> = items(code).into_iter().map(|(head, body)| format!("{head} | {}", body.trim())).collect();
+        let wanted = [
+            "pub struct B | pub c: [u8; 2]",
+            "pub use d:: | E, F",
+            "const G: [u8; 2] = [1, 2] |",
+            "impl B | fn h() {}",
+        ];
+        assert_eq!(heads.iter().map(|head| head.trim_end()).collect::<Vec<_>>(), wanted);
     }
 
     #[test]

@@ -3,6 +3,7 @@
 use crate::image_view::ImageView;
 use pb3dp_geometry::StereoRig;
 use pb3dp_geometry::ranges::OutOfRange;
+use pb3dp_message_codes::Argument;
 
 /// Why an estimation request was rejected. A pose that cannot be determined is not an error but a [`crate::status::Status`].
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -74,7 +75,8 @@ pub enum EstimationError {
     /// Too few pixels of a region have a match for a visible surface.
     #[error(
         "{matched_percent:.0} % of the region's pixels have a match in the right image, by chance or not, a surface needs {needed_percent:.0} %: check the depth \
-         range (--z-range), the calibration, whether left and right are exchanged, and the texture of the region"
+         range ({}), the calibration, whether left and right are exchanged, and the texture of the region",
+        Argument::DepthRange
     )]
     NoSurface {
         /// Share of the pixels that have a match.

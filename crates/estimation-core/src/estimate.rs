@@ -3,6 +3,7 @@
 use nalgebra::{Matrix3, Matrix6, Vector2, Vector3};
 use pb3dp_geometry::frames::{CamLeft, Model, Surface};
 use pb3dp_geometry::{Camera, Pose};
+use pb3dp_message_codes::Argument;
 
 use crate::model_frame::{ModelFrame, frame_covariance, model_frame_on_plane};
 use crate::plane_hypothesis::PlaneHypothesis;
@@ -28,7 +29,8 @@ pub enum EstimateWarning {
     },
     /// The estimated tilt is outside the searched range.
     #[error(
-        "the estimated tilt is beyond the {limit_deg:.0} degrees of the search range: raise the limit (--tilt-max)"
+        "the estimated tilt is beyond the {limit_deg:.0} degrees of the search range: raise the limit ({})",
+        Argument::TiltLimit
     )]
     BeyondTilt {
         /// Largest tilt of the search range, degrees.
@@ -36,7 +38,9 @@ pub enum EstimateWarning {
     },
     /// No plane within the range of depths explains the region: its surface is not planar, or lies elsewhere.
     #[error(
-        "no plane explains the region: if the object may be elsewhere, widen the range of depths (--z-range); if it is curved, mark a flat part, write its surface (--surface), or track it"
+        "no plane explains the region: if the object may be elsewhere, widen the range of depths ({}); if it is curved, mark a flat part, write its surface ({}), or track it",
+        Argument::DepthRange,
+        Argument::VisibleSurface
     )]
     NoPlane,
     /// The tracker follows a part of the region.
@@ -68,7 +72,8 @@ pub enum EstimateWarning {
     /// The right camera exposes at another time than the left one.
     #[error(
         "the right camera exposes {skew_ms:+.1} ± {sigma_ms:.1} ms after the left one, as its rows show when the target moves: state it \
-         (--skew), so that the first pair is right as well"
+         ({}), so that the first pair is right as well",
+        Argument::Skew
     )]
     Skewed {
         /// Middle of the right exposure minus middle of the left one, milliseconds.
@@ -79,7 +84,8 @@ pub enum EstimateWarning {
     /// The rows of a moving target contradict the skew that was stated.
     #[error(
         "the rows of the target show a skew of {skew_ms:+.1} ± {sigma_ms:.1} ms, and {stated_ms:+.1} ms are stated: check value and sign \
-         (--skew), or leave it out"
+         ({}), or leave it out",
+        Argument::Skew
     )]
     SkewContradicted {
         /// What was stated, milliseconds.
@@ -92,7 +98,8 @@ pub enum EstimateWarning {
     /// Nothing tells whether both cameras expose at once.
     #[error(
         "neither the recording nor the motion tells whether both cameras expose at once: at this speed {example_ms:.0} ms cost \
-         {cost_mm:.1} mm of depth and {cost_deg:.1} degrees of tilt: state the time between them (--skew; 0 if one trigger drives both)"
+         {cost_mm:.1} mm of depth and {cost_deg:.1} degrees of tilt: state the time between them ({}; 0 if one trigger drives both)",
+        Argument::Skew
     )]
     SkewUnknown {
         /// The skew of the example, milliseconds.

@@ -18,3 +18,4 @@ pub mod trig;
 pub mod wide;
 
 pub use pb3dp_computing::{cpu, rng};
+pub use pb3dp_message_codes::Argument;

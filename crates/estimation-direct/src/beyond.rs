@@ -7,12 +7,12 @@
 
 use nalgebra::Vector2;
 use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_views::disparity_plane::{DisparityPlane, DisparityRange};
+use pb3dp_estimation_views::front_end::StereoFrontEnd;
+use pb3dp_estimation_views::region_pyramid::{PyramidSource, RegionPyramid};
 
 use super::copies::{Copies, scaled};
-use super::disparity_plane::{DisparityPlane, DisparityRange};
-use super::front_end::StereoFrontEnd;
 use super::patches::{PatchConfig, SlantedPatches};
-use super::region_pyramid::{PyramidSource, RegionPyramid};
 use super::search::hypotheses::HypothesisRules;
 use super::search::{PlaneSearch, PlaneSearchConfig};
 use crate::outcome::{ColdStartOutcome, support_of, surface_score};

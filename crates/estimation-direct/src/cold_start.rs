@@ -9,22 +9,22 @@ mod levels;
 
 use nalgebra::Vector2;
 use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_views::disparity_plane::{DisparityPlane, DisparityRange};
+use pb3dp_estimation_views::front_end::StereoFrontEnd;
+use pb3dp_estimation_views::reach;
+use pb3dp_estimation_views::region_pyramid::{PyramidSource, RegionPyramid};
 use pb3dp_geometry::ranges;
 
 pub use self::elsewhere::COPY_SCORE_MIN;
 use super::beyond::Beyond;
-use super::disparity_plane::{DisparityPlane, DisparityRange};
-use super::front_end::StereoFrontEnd;
 use super::patches::{PatchConfig, PatchOutcome, SUPPORTS, SlantedPatches};
 use super::photometric::{PlaneRefiner, RefineConfig, RefinedPlane};
-use super::region_pyramid::{PyramidSource, RegionPyramid};
 use super::repetition::{PeriodSearch, Repetition};
 use super::search::{PlaneSearch, PlaneSearchConfig};
 use super::surroundings::{self, Surroundings};
 use crate::outcome::{
     ColdStartOutcome, ContinuedPlane, Rival, Surface, UnlimitedPlane, WidestPlane, support_of, surface_score,
 };
-use crate::reach;
 use crate::surface_choice::SurfaceChoice;
 
 /// Parameters of the cold start.

@@ -7,8 +7,9 @@
 //! A copy is the same surface displaced along the baseline, so its disparity (plus the offset to infinity) is that of the answer
 //! times a factor.
 
-use super::disparity_plane::DisparityPlane;
-use super::region_pyramid::{RegionLevel, is_visible};
+use pb3dp_estimation_views::disparity_plane::DisparityPlane;
+use pb3dp_estimation_views::region_pyramid::{RegionLevel, is_visible};
+
 use super::repetition::{Neighbourhood, neighbourhood, rows_around};
 
 /// Largest number of points compared. Chosen by hand, not varied: as in [`super::repetition`].

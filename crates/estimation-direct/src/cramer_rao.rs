@@ -5,8 +5,7 @@
 //! dv)` is the sum over pixels of `g^2 m m^T / (2 sigma^2)`, `m = (1, u, v)`, minus the part lost to gain and offset.
 
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector2, Vector3};
-
-use super::disparity_plane::{DisparityPlane, RectifiedGeometry, inverse_depth_from_disparity};
+use pb3dp_estimation_views::disparity_plane::{DisparityPlane, RectifiedGeometry, inverse_depth_from_disparity};
 
 /// A pixel of a noise-free channel.
 #[derive(Clone, Copy, Debug, PartialEq)]

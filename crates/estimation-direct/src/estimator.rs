@@ -1,6 +1,7 @@
 //! The direct method on single pairs.
 
 use nalgebra::{Matrix3, Point3, Vector2, Vector3};
+use pb3dp_estimation_core::Argument;
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, SecondPlane};
@@ -12,14 +13,9 @@ use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::StereoRig;
 
 use super::cold_start::{COPY_SCORE_MIN, ColdStart, ColdStartConfig};
-use super::colour_planes::Wanted;
 use super::compression::{RowPair, is_of_blocks};
 use super::directions::tell;
-use super::disparity_plane::{DisparityPlane, DisparityRange, inverse_depth_from_disparity};
 use super::final_plane::final_plane;
-use super::front_end::StereoFrontEnd;
-use super::raw_view::RawView;
-use super::region_pyramid::{PyramidSource, RegionPyramid};
 use super::shape::{self, ShapePixel};
 use super::spread::{Spread, include_second};
 pub use super::surface_plane::SurfacePlane;
@@ -31,6 +27,11 @@ use super::verdict::{
 };
 use crate::outcome::{ColdStartOutcome, Rival, UnlimitedPlane};
 use pb3dp_estimation_core::rig_errors::RigErrors;
+use pb3dp_estimation_views::colour_planes::Wanted;
+use pb3dp_estimation_views::disparity_plane::{DisparityPlane, DisparityRange, inverse_depth_from_disparity};
+use pb3dp_estimation_views::front_end::StereoFrontEnd;
+use pb3dp_estimation_views::raw_view::RawView;
+use pb3dp_estimation_views::region_pyramid::{PyramidSource, RegionPyramid};
 
 /// Parameters of the direct method.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -168,7 +169,8 @@ impl DirectEstimator {
             let is_beyond = spread.is_some_and(|spread| spread.is_tilted_beyond(&pose, range.tilt_max_rad));
             if is_beyond && estimate.status.depth_is_sure() {
                 estimate.status = Status::Ambiguous;
-                estimate.reason.push_str(", but the tilt is out of range: raise the limit (--tilt-max)");
+                estimate.reason +=
+                    &format!(", but the tilt is out of range: raise the limit ({})", Argument::TiltLimit);
             }
         }
     }

@@ -1,8 +1,8 @@
 //! The final plane of a cold start, with its covariance: what the refinement, the patches and the search each say of the surface.
 
 use nalgebra::{Matrix3, Vector3};
+use pb3dp_estimation_views::disparity_plane::DisparityPlane;
 
-use super::disparity_plane::DisparityPlane;
 use super::patches::PatchOutcome;
 use crate::outcome::{ColdStartOutcome, support_of};
 use crate::surface_choice::SurfaceChoice;

@@ -1,7 +1,6 @@
 //! The direct method: planes and poses from grey levels with sub-pixel precision, on any texture.
 //!
-//! The plane search works on rectified images, in which a plane is an affine disparity ([`disparity_plane`]). Images of a
-//! rectified pair are used unchanged, others are remapped ([`front_end`]).
+//! The plane search works on rectified images, in which a plane is an affine disparity ([`pb3dp_estimation_views`]).
 //!
 //! The comment of each constant that decides something states where its value comes from. "Chosen by hand, not varied": no other
 //! value was measured, and the comment says what depends on it. "Chosen", with figures: the figures were measured when the rule
@@ -9,28 +8,18 @@
 
 mod beyond;
 pub mod cold_start;
-pub mod colour_planes;
 mod compression;
 mod copies;
 pub mod cramer_rao;
 mod directions;
-pub mod disparity_plane;
 pub mod estimator;
-mod filters;
 mod final_plane;
-pub mod front_end;
-pub mod image_plane;
 mod named_sums;
 pub mod outcome;
 pub mod patches;
 pub mod photometric;
-mod raw_view;
-pub mod reach;
-pub mod region_pyramid;
 mod repetition;
-mod resample;
 pub mod row_measurement;
-mod row_shift;
 pub mod search;
 mod shape;
 mod spread;

@@ -1,6 +1,7 @@
 //! Outcome of a cold start.
 
-use super::disparity_plane::DisparityPlane;
+use pb3dp_estimation_views::disparity_plane::DisparityPlane;
+
 use super::patches::PatchOutcome;
 use super::photometric::RefinedPlane;
 

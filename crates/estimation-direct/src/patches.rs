@@ -11,13 +11,13 @@ mod kernels;
 
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::wide::{LANES, sum_lanes, wide};
+use pb3dp_estimation_views::colour_planes::ColourPlanes;
+use pb3dp_estimation_views::region_pyramid::{LevelPlane, RegionLevel, is_visible};
 use pb3dp_geometry::ranges;
 
 use self::closest::Sampled;
 use self::fit::{PatchVotes, fit_votes};
 use self::kernels::{PeakLimits, Tally};
-use super::colour_planes::ColourPlanes;
-use super::region_pyramid::{LevelPlane, RegionLevel, is_visible};
 use super::search::volume::LevelBox;
 use crate::surface_choice::SurfaceChoice;
 
@@ -372,8 +372,8 @@ impl Tally<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::colour_planes::Wanted;
-    use crate::image_plane::PixelWindow;
+    use pb3dp_estimation_views::colour_planes::Wanted;
+    use pb3dp_estimation_views::image_plane::PixelWindow;
 
     const TRUTH: LevelPlane = LevelPlane { a: 0.06, b: -0.03, c: 9.3, row: 0 };
 

@@ -21,16 +21,15 @@ use covariance::BlockPulls;
 use kernel::{CHANNELS_MAX, ChannelState, PointSet, Shade, Sums, Thinning, Warp};
 use nalgebra::{Matrix3, Vector2, Vector4};
 use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_views::disparity_plane::DisparityPlane;
+use pb3dp_estimation_views::front_end::{Side, StereoFrontEnd};
+use pb3dp_estimation_views::image_plane::PixelWindow;
+use pb3dp_estimation_views::region_pyramid::{PyramidSource, RegionLevel, RegionPyramid};
 use points::{PointLimits, RightRows, Rims, Selection};
 use prepare::{CameraChannels, ChannelRequest, Pair, Preparation, inside, reach_px, rows_of};
 use sharpness::Sharpness;
 use solve::{Normal, bounded_step, reliability, tukey_limit, tukey_moments};
 use start::first_state;
-
-use super::disparity_plane::DisparityPlane;
-use super::front_end::{Side, StereoFrontEnd};
-use super::image_plane::PixelWindow;
-use super::region_pyramid::{PyramidSource, RegionLevel, RegionPyramid};
 
 /// Smallest number of points for a refinement. Chosen by hand, not varied: about seven for each of six fitted values; fewer
 /// points leave the patch plane and `weak-tilt`.

@@ -7,8 +7,9 @@
 //! On a tilted target the period is longer where the target is nearer. The copy is therefore moved in proportion to the
 //! disparity (plus the offset to infinity), which again gives a plane.
 
-use super::colour_planes::ColourPlanes;
-use super::region_pyramid::{LevelPlane, RegionLevel, is_visible};
+use pb3dp_estimation_views::colour_planes::ColourPlanes;
+use pb3dp_estimation_views::region_pyramid::{LevelPlane, RegionLevel, is_visible};
+
 use super::search::NOISE_GREY;
 use crate::surface_choice::SurfaceChoice;
 
@@ -165,8 +166,8 @@ pub(super) fn neighbourhood(rows: &[&[f32]; 3], x: usize) -> Neighbourhood {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::colour_planes::Wanted;
-    use crate::image_plane::PixelWindow;
+    use pb3dp_estimation_views::colour_planes::Wanted;
+    use pb3dp_estimation_views::image_plane::PixelWindow;
 
     const SIZE: usize = 90;
 

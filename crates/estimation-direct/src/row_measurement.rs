@@ -17,16 +17,16 @@ use pb3dp_estimation_core::rig_errors::{
 };
 use pb3dp_estimation_core::rng::SplitMix64;
 use pb3dp_estimation_core::row_offset::RowOffset;
+use pb3dp_estimation_views::colour_planes::{ColourPlanes, UNSEEN, Wanted};
+use pb3dp_estimation_views::disparity_plane::{DisparityRange, RectifiedGeometry};
+use pb3dp_estimation_views::front_end::{Side, StereoFrontEnd};
+use pb3dp_estimation_views::image_plane::PixelWindow;
+use pb3dp_estimation_views::raw_view::rows_near;
+use pb3dp_estimation_views::region_pyramid::{PyramidSource, RegionLevel, RegionPyramid};
 use pb3dp_geometry::StereoRig;
 
 use self::patch::{CORRELATION_MIN, CoarseSearch, GRADIENT_MIN, Patch, RADIUS, refine};
 pub use self::target::{KnownTarget, MotionSigmas, RegionRows};
-use super::colour_planes::{ColourPlanes, UNSEEN, Wanted};
-use super::disparity_plane::{DisparityRange, RectifiedGeometry};
-use super::front_end::{Side, StereoFrontEnd};
-use super::image_plane::PixelWindow;
-use super::raw_view::rows_near;
-use super::region_pyramid::{PyramidSource, RegionLevel, RegionPyramid};
 
 /// Level of the exhaustive search. Chosen by hand, not varied: with the rows on either side, offsets of up to 4 px are
 /// found there; time falls to an eighth per level.

@@ -10,6 +10,8 @@ use std::ops::RangeInclusive;
 use nalgebra::{Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::wide::wide;
+use pb3dp_estimation_views::disparity_plane::DisparityRange;
+use pb3dp_estimation_views::region_pyramid::{LevelPlane, RegionLevel};
 use pb3dp_geometry::ranges;
 
 use self::aggregate::{Aggregation, Penalties, WinnerRules};
@@ -18,8 +20,6 @@ use self::hypotheses::{
     Candidate, DisparityPoints, HypothesisRules, HypothesisSearch, PlaneCoefficients, inlier_share,
 };
 use self::volume::{COST_NEUTRAL, CostVolume, LevelBox};
-use super::disparity_plane::DisparityRange;
-use super::region_pyramid::{LevelPlane, RegionLevel};
 use crate::surface_choice::SurfaceChoice;
 
 /// Noise of a pixel in the normalisation of neighbourhoods, luminance: default of `direct.search.noise_grey`. Chosen by hand, not

@@ -7,9 +7,9 @@
 use nalgebra::Vector2;
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::EstimationError;
+use pb3dp_estimation_views::disparity_plane::DisparityRange;
+use pb3dp_estimation_views::region_pyramid::RegionLevel;
 
-use super::disparity_plane::DisparityRange;
-use super::region_pyramid::RegionLevel;
 use super::search::aggregate::{Penalties, WinnerRules};
 use super::search::volume::LevelBox;
 use super::search::{PlaneSearch, PlaneSearchConfig};

@@ -2,9 +2,8 @@
 
 use nalgebra::{Matrix3, Vector3};
 use pb3dp_estimation_core::estimate::{PlaneEstimate, PlanePose};
-
-use super::disparity_plane::{DisparityPlane, inverse_depth_from_disparity};
-use super::raw_view::RawView;
+use pb3dp_estimation_views::disparity_plane::{DisparityPlane, inverse_depth_from_disparity};
+use pb3dp_estimation_views::raw_view::RawView;
 
 /// Root mean square angle between the pole of a half-sphere and normals distributed uniformly over it, `sqrt(pi - 2)`, radians:
 /// upper bound of the uncertainty of a normal that faces the camera.
@@ -81,8 +80,8 @@ mod tests {
     use pb3dp_estimation_core::status::Status;
     use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole};
 
-    use super::super::disparity_plane::RectifiedGeometry;
     use super::*;
+    use pb3dp_estimation_views::disparity_plane::RectifiedGeometry;
 
     fn view() -> RawView {
         let turn = pb3dp_geometry::so3::exp(&Vector3::new(0.03, -0.06, 0.02)).to_rotation_matrix();

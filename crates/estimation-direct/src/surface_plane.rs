@@ -6,8 +6,8 @@
 use std::collections::VecDeque;
 
 use nalgebra::{Matrix3, Vector2, Vector3};
+use pb3dp_estimation_views::disparity_plane::DisparityPlane;
 
-use super::disparity_plane::DisparityPlane;
 use super::shape::{EDGE_PX, REACH, ShapePixel};
 
 /// Side of the squares whose errors count as independent, pixels of the level: twice the reach of the median.

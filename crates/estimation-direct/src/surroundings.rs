@@ -12,13 +12,13 @@
 use nalgebra::{Matrix3, Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::wide::wide;
+use pb3dp_estimation_views::disparity_plane::RectifiedGeometry;
+use pb3dp_estimation_views::reach::REACH_MAX_PX;
+use pb3dp_estimation_views::region_pyramid::{LevelPlane, RegionLevel};
 
-use super::disparity_plane::RectifiedGeometry;
 use super::final_plane::EQUAL_ERRORS;
 use super::patches::USABLE;
 use super::photometric::RefinedPlane;
-use super::region_pyramid::{LevelPlane, RegionLevel};
-use crate::reach::REACH_MAX_PX;
 
 /// A normal with a smaller standard deviation needs no surroundings, radians (1 degree). Chosen by hand, not varied: with
 /// the rule as a whole, 116 of 128 and 124 of 160 real windows of 28 to 40 px pass, without it 113 and 122.
@@ -385,9 +385,9 @@ fn dilate(mask: &mut [u8], distance: &mut Vec<u8>, width: usize, reach: u8) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::colour_planes::Wanted;
-    use crate::disparity_plane::DisparityPlane;
-    use crate::image_plane::PixelWindow;
+    use pb3dp_estimation_views::colour_planes::Wanted;
+    use pb3dp_estimation_views::disparity_plane::DisparityPlane;
+    use pb3dp_estimation_views::image_plane::PixelWindow;
 
     const TRUTH: LevelPlane = LevelPlane { a: 0.05, b: -0.03, c: 8.3, row: 0 };
     const SIZE: usize = 80;

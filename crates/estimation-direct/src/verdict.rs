@@ -1,10 +1,11 @@
 //! Status of an estimate of the direct method, and its reason.
 
+use pb3dp_estimation_core::Argument;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::status::{Status, Verdict};
+use pb3dp_estimation_views::disparity_plane::DisparityPlane;
 use pb3dp_geometry::ranges;
 
-use crate::disparity_plane::DisparityPlane;
 use crate::outcome::{ColdStartOutcome, Rival, support_of};
 use crate::surface_choice::SurfaceChoice;
 
@@ -71,9 +72,10 @@ pub(super) struct Searched {
 /// Reason if the search found no candidate.
 pub(super) fn nothing_found(range: &SearchRange) -> String {
     format!(
-        "the region is not visible in the right image at {:.0} to {:.0} mm: check the depth range (--z-range), the region and the calibration",
+        "the region is not visible in the right image at {:.0} to {:.0} mm: check the depth range ({}), the region and the calibration",
         1e3 * range.z_min_m,
-        1e3 * range.z_max_m
+        1e3 * range.z_max_m,
+        Argument::DepthRange
     )
 }
 
@@ -82,8 +84,9 @@ pub(super) fn nothing_found(range: &SearchRange) -> String {
 pub(super) fn lies_beyond(z_m: Option<f64>, score_ratio: f64) -> String {
     let place = z_m.map_or("far away".to_owned(), |z_m| format!("at about {:.0} mm", 1e3 * z_m));
     format!(
-        "a plane {place}, outside the depth range, explains the region with {:.0} % of the score: the target may be there; widen the range (--z-range)",
-        100.0 * score_ratio
+        "a plane {place}, outside the depth range, explains the region with {:.0} % of the score: the target may be there; widen the range ({})",
+        100.0 * score_ratio,
+        Argument::DepthRange
     )
 }
 
@@ -101,8 +104,9 @@ pub(super) fn same_elsewhere(depths_m: &[Option<f64>], score_ratio: f64) -> Stri
 /// Reason if the region may be nearer than `z_m`, where the right image does not show it.
 pub(super) fn may_be_unseen(z_m: f64, correlation: f64, limit: f64) -> String {
     format!(
-        "nearer than {:.0} mm the middle of the region is outside the right image, and the matching patches correlate by only {correlation:.2} (limit {limit}): mark an area that both cameras see, or narrow the range (--z-range)",
-        1e3 * z_m
+        "nearer than {:.0} mm the middle of the region is outside the right image, and the matching patches correlate by only {correlation:.2} (limit {limit}): mark an area that both cameras see, or narrow the range ({})",
+        1e3 * z_m,
+        Argument::DepthRange
     )
 }
 
@@ -121,20 +125,24 @@ fn cause(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVerdict
     let steeper = searched.steeper.filter(|steeper| steeper.share >= limits.support_min);
     if let Some(Steeper { tilt_deg, share }) = steeper {
         return format!(
-            "a plane tilted by {tilt_deg:.0} degrees explains {:.0} %, but the tilt limit is {:.0} degrees: raise it (--tilt-max)",
+            "a plane tilted by {tilt_deg:.0} degrees explains {:.0} %, but the tilt limit is {:.0} degrees: raise it ({})",
             100.0 * share,
-            range.tilt_max_rad.to_degrees()
+            range.tilt_max_rad.to_degrees(),
+            Argument::TiltLimit
         );
     }
     if outcome.unlimited.is_none_or(|found| found.share < ANY_SHARE_MIN) {
         return format!(
-            "no match in the right image at {:.0} to {:.0} mm: check the depth range (--z-range) and the calibration, and check the images for noise and blur",
+            "no match in the right image at {:.0} to {:.0} mm: check the depth range ({}) and the calibration, and check the images for noise and blur",
             1e3 * range.z_min_m,
-            1e3 * range.z_max_m
+            1e3 * range.z_max_m,
+            Argument::DepthRange
         );
     }
-    "the region is not flat, contains several surfaces, or lies outside the depth range: mark a flat part, or widen the range (--z-range)"
-        .to_owned()
+    format!(
+        "the region is not flat, contains several surfaces, or lies outside the depth range: mark a flat part, or widen the range ({})",
+        Argument::DepthRange
+    )
 }
 
 /// If no plane explains this share of the region, the cause is the range, the calibration or the images. Chosen by hand,
@@ -255,7 +263,7 @@ pub(super) fn judge(
         let evidence = format!(
             "the texture repeats every {period_px:.0} px, and only {agreeing:.0} % of the region agrees with the plane"
         );
-        let advice = "the target may be outside the depth range; widen it (--z-range)";
+        let advice = format!("the target may be outside the depth range; widen it ({})", Argument::DepthRange);
         return say(Status::Ambiguous, format!("{evidence}: {advice}"));
     }
     if let Some(second) = similar_second(outcome, limits) {
@@ -296,7 +304,7 @@ mod tests {
     use super::*;
     use crate::outcome::Surface;
     use crate::patches::PatchOutcome;
-    use crate::region_pyramid::LevelPlane;
+    use pb3dp_estimation_views::region_pyramid::LevelPlane;
 
     /// Patches that mix several surfaces support none of them; single disparities lie on the plane.
     #[test]

@@ -5,7 +5,7 @@
 //! no more. Two of three independent errors are left, so squares are scaled by 3/2 before they are compared with the noise of three.
 
 use pb3dp_estimation_core::wide::LANES;
-use pb3dp_estimation_direct::colour_planes::OPPONENT_FROM_RGB;
+use pb3dp_estimation_views::colour_planes::OPPONENT_FROM_RGB;
 
 use super::images::{CHANNELS, CLIPPED, Texel};
 use super::lanes::Lanes;

@@ -2,7 +2,7 @@
 
 use nalgebra::{Point3, Unit, Vector3};
 use pb3dp_estimation_core::method::SurfacePoint;
-use pb3dp_estimation_direct::colour_planes::OPPONENT_FROM_RGB;
+use pb3dp_estimation_views::colour_planes::OPPONENT_FROM_RGB;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Model};
 

@@ -3,14 +3,14 @@
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::wide::wide;
-use pb3dp_estimation_direct::colour_planes::{OPPONENT_FROM_RGB, SATURATED_FROM};
-use pb3dp_estimation_direct::image_plane::PixelWindow;
+use pb3dp_estimation_views::colour_planes::{OPPONENT_FROM_RGB, SATURATED_FROM};
+use pb3dp_estimation_views::image_plane::PixelWindow;
 
 /// Levels of the pyramids: 1, 1/2, 1/4 and 1/8 of the resolution. Chosen by hand: in the prototype of ADR 7, planes at 500
 /// mm were captured from 80 mm away with four levels, from 50 mm with one.
 pub(super) const LEVELS: usize = 4;
 
-/// Y, A, B' (see [`colour_planes`](pb3dp_estimation_direct::colour_planes)) and the saturation: the share of saturated pixels, or
+/// Y, A, B' (see [`colour_planes`](pb3dp_estimation_views::colour_planes)) and the saturation: the share of saturated pixels, or
 /// the colours of [`CLIPPED`] if it was sampled at full resolution.
 pub(super) type Texel = [f32; 4];
 

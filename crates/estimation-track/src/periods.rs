@@ -321,7 +321,7 @@ impl Brightness {
 mod tests {
     use image::{Rgb, RgbImage};
     use pb3dp_estimation_core::cpu::Kernels;
-    use pb3dp_estimation_direct::image_plane::PixelWindow;
+    use pb3dp_estimation_views::image_plane::PixelWindow;
     use pb3dp_geometry::{Distortion, ImageSize, Pinhole};
 
     use super::*;

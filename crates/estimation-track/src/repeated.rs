@@ -1,7 +1,7 @@
 //! Detects a camera that repeats its last image while the other camera delivers a new one.
 
 use pb3dp_estimation_core::image_view::ImageView;
-use pb3dp_estimation_direct::image_plane::PixelWindow;
+use pb3dp_estimation_views::image_plane::PixelWindow;
 
 /// Mean absolute difference of a new image of the other camera, grey levels: in a real camera noise alone exceeds this.
 /// Chosen by hand, not varied.

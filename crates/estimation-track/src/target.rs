@@ -11,7 +11,7 @@ mod twins;
 use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector2};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::wide::LANES;
-use pb3dp_estimation_direct::image_plane::PixelWindow;
+use pb3dp_estimation_views::image_plane::PixelWindow;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Camera, Pose, StereoRig};
 

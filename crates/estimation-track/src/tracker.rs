@@ -16,7 +16,7 @@ use pb3dp_estimation_core::region::RegionConfig;
 use pb3dp_estimation_core::rig_errors::RigErrors;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
-use pb3dp_estimation_direct::image_plane::PixelWindow;
+use pb3dp_estimation_views::image_plane::PixelWindow;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
 

@@ -20,12 +20,11 @@ use crate::calibration_term::{CalibrationTerm, FirstPair};
 use crate::rig_watch::{KnownTarget, MotionSigmas, RigWatch};
 use crate::skew_watch::SkewWatch;
 
-use pb3dp_estimation_core::method::Answer;
-pub use pb3dp_estimation_core::method::{
-    EstimateRequest, EstimationMethod, FramePrior, MarkedTarget, SurfacePoint, VisiblePoint,
-};
-pub use pb3dp_estimation_published::estimator::{PublishedEstimator, PublishedTracker};
-pub use pb3dp_estimation_track::{DirectTracker, DirectTrackerConfig};
+use pb3dp_estimation_core::method::{Answer, EstimationMethod};
+pub use pb3dp_estimation_core::method::{EstimateRequest, FramePrior, SurfacePoint, VisiblePoint};
+use pb3dp_estimation_published::estimator::{PublishedEstimator, PublishedTracker};
+use pb3dp_estimation_track::DirectTracker;
+pub use pb3dp_estimation_track::DirectTrackerConfig;
 
 /// The estimation methods of this project.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

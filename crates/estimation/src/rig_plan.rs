@@ -8,7 +8,7 @@ use nalgebra::{Matrix3, Vector2};
 use pb3dp_estimation_direct::cramer_rao::{
     PlaneSigma, calibration_covariance, pixel_disparity_sigma, plane_sigma, rectangle_information,
 };
-use pb3dp_estimation_direct::disparity_plane::{DisparityPlane, RectifiedGeometry};
+use pb3dp_estimation_views::disparity_plane::{DisparityPlane, RectifiedGeometry};
 use pb3dp_geometry::ImageSize;
 
 /// A stereo rig of two equal, parallel cameras with centred principal points.

@@ -4,6 +4,7 @@
 //! [`RigWatch`] measures that, corrects what the rows determine, and objects if the correction is larger than that of a rig which was once
 //! calibrated properly: then what no row shows (yaw, baseline) has probably changed as much.
 
+use pb3dp_estimation_core::Argument;
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::estimate::EstimateWarning;
@@ -254,13 +255,13 @@ impl RigWatch {
             return Some("the rows of the images have changed for a while: the cameras may be loose".to_owned());
         }
         let why = match self.are_rectified {
-            Some(true) => {
-                "they look rectified already, as they agree without its distortion and rotation: state that with --rectified, or give raw \
-                 images; if they are raw, the cameras have moved: calibrate again"
-            }
-            _ => {
-                "it belongs to other cameras or images, or the cameras have moved since: give the right file, or calibrate again"
-            }
+            Some(true) => format!(
+                "they look rectified already, as they agree without its distortion and rotation: state that with {}, or give raw images; if \
+                 they are raw, the cameras have moved: calibrate again",
+                Argument::Rectified
+            ),
+            _ => "it belongs to other cameras or images, or the cameras have moved since: give the right file, or calibrate again"
+                .to_owned(),
         };
         if self.looks == 0 && self.are_rectified == Some(true) {
             return Some(format!("the images do not agree with the calibration: no points are near their rows: {why}"));

@@ -124,7 +124,11 @@ fn a_limit_of_the_tilt_that_is_too_small_is_named() {
     assert_eq!(found(75.0).status, Status::Ok, "{}", found(75.0).reason);
     let limited = found(12.0);
     assert!(!limited.status.depth_is_sure(), "{:?} {}", limited.status, limited.reason);
-    assert!(limited.reason.contains("the tilt limit is 12 degrees: raise it (--tilt-max)"), "{}", limited.reason);
+    assert!(
+        limited.reason.contains("the tilt limit is 12 degrees: raise it (SearchRange::tilt_max_rad)"),
+        "{}",
+        limited.reason
+    );
 }
 
 #[test]
@@ -138,7 +142,7 @@ fn a_range_that_misses_the_target_is_named() {
     assert_eq!(found([0.35, 0.8, 60.0]).status, Status::Ok, "{}", found([0.35, 0.8, 60.0]).reason);
     let missed = found([0.65, 0.95, 60.0]);
     assert!(!missed.status.depth_is_sure(), "{:?} {}", missed.status, missed.reason);
-    assert!(missed.reason.contains("(--z-range)"), "{}", missed.reason);
+    assert!(missed.reason.contains("(SearchRange)"), "{}", missed.reason);
     let outside = found([0.05, 0.08, 60.0]);
     assert_eq!(outside.status, Status::NotObservable);
     assert!(outside.reason.contains("at 50 to 80 mm"), "{}", outside.reason);
@@ -367,7 +371,7 @@ fn an_answer_tilted_beyond_the_range_is_not_sure() {
     for beyond in [found(tilt_deg - 6.0), found(tilt_deg - 3.0)] {
         assert!(matches!(beyond.warnings[..], [EstimateWarning::BeyondTilt { .. }]), "{:?}", beyond.warnings);
         assert_eq!(beyond.status, Status::Ambiguous, "{}", beyond.reason);
-        assert!(beyond.reason.contains("raise the limit (--tilt-max)"), "{}", beyond.reason);
+        assert!(beyond.reason.contains("raise the limit (SearchRange::tilt_max_rad)"), "{}", beyond.reason);
     }
     for within in [found(tilt_deg - 0.02), found(tilt_deg + 3.0)] {
         assert_eq!(within.status, Status::Ok, "{}", within.reason);

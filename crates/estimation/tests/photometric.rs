@@ -6,13 +6,13 @@ use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::region::RegionMask;
 use pb3dp_estimation_core::rng::SplitMix64;
 use pb3dp_estimation_core::row_offset::RowOffset;
-use pb3dp_estimation_direct::colour_planes::{OPPONENT_FROM_RGB, Wanted};
 use pb3dp_estimation_direct::cramer_rao::{BoundSample, channel_information, plane_sigma};
-use pb3dp_estimation_direct::disparity_plane::{DisparityPlane, DisparityRange, RectifiedGeometry};
-use pb3dp_estimation_direct::front_end::StereoFrontEnd;
 use pb3dp_estimation_direct::photometric::{PlaneRefiner, RefineConfig, RefinedPlane};
-use pb3dp_estimation_direct::region_pyramid::{PyramidSource, RegionPyramid};
 use pb3dp_estimation_test_support::every_kernel;
+use pb3dp_estimation_views::colour_planes::{OPPONENT_FROM_RGB, Wanted};
+use pb3dp_estimation_views::disparity_plane::{DisparityPlane, DisparityRange, RectifiedGeometry};
+use pb3dp_estimation_views::front_end::StereoFrontEnd;
+use pb3dp_estimation_views::region_pyramid::{PyramidSource, RegionPyramid};
 
 use crate::plane_pair::{self, Paint, Pair, SIZE, Setup, Texture, render};
 

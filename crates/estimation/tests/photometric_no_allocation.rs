@@ -4,11 +4,11 @@
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::region::RegionMask;
 use pb3dp_estimation_core::row_offset::RowOffset;
-use pb3dp_estimation_direct::colour_planes::Wanted;
-use pb3dp_estimation_direct::disparity_plane::{DisparityPlane, DisparityRange};
-use pb3dp_estimation_direct::front_end::StereoFrontEnd;
 use pb3dp_estimation_direct::photometric::{PlaneRefiner, RefineConfig};
-use pb3dp_estimation_direct::region_pyramid::{PyramidSource, RegionPyramid};
+use pb3dp_estimation_views::colour_planes::Wanted;
+use pb3dp_estimation_views::disparity_plane::{DisparityPlane, DisparityRange};
+use pb3dp_estimation_views::front_end::StereoFrontEnd;
+use pb3dp_estimation_views::region_pyramid::{PyramidSource, RegionPyramid};
 
 use crate::plane_pair::{Paint, SIZE, Setup, Texture, render};
 

@@ -339,7 +339,7 @@ fn another_focal_length_is_not_taken_for_rectified_images() {
         let [left, right] = Scene::new(7, &stated).render(&stated);
         of_unequal.look(&left, &right).unwrap();
         for objection in [watch.objection(), of_unequal.objection()] {
-            assert!(objection.is_some_and(|reason| !reason.contains("--rectified")), "{fault:?}");
+            assert!(objection.is_some_and(|reason| !reason.contains("StatedCalibration::rectified")), "{fault:?}");
         }
     }
 }
@@ -385,10 +385,13 @@ fn rectified_images_with_the_calibration_of_raw_ones_are_named() {
     };
     for seed in 40..43 {
         let named = objection(&rectified, seed).unwrap();
-        assert!(named.contains("look rectified already") && named.contains("--rectified"), "{named}");
+        assert!(named.contains("look rectified already") && named.contains("StatedCalibration::rectified"), "{named}");
         assert_eq!(objection(&raw, seed), None);
         let of_others = objection(&Fault::Roll(0.8).of(&raw), seed).unwrap();
-        assert!(!of_others.contains("--rectified") && of_others.contains("calibrate again"), "{of_others}");
+        assert!(
+            !of_others.contains("StatedCalibration::rectified") && of_others.contains("calibrate again"),
+            "{of_others}"
+        );
     }
 }
 

@@ -1,4 +1,4 @@
-//! Stable codes of messages.
+//! Stable codes of messages, and the [arguments](Argument) that messages ask for.
 //!
 //! A message states the present problem with value and limit. Its code is the same in every release and leads to cause and remedy: `pb3dp
 //! explain CODE`, and the page docs/reference/messages.md, generated from the tables of [`codes!`].
@@ -21,6 +21,10 @@
 //! assert_eq!(LensError::Blurred { pixels: 3.0 }.message_code().code, "PB3DP-LENS-002");
 //! assert_eq!(LensError::CODES.len(), 2);
 //! ```
+
+mod argument;
+
+pub use argument::{Argument, spell_arguments};
 
 /// The code of a message, with its cause and remedy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -109,12 +109,24 @@ pub enum Command {
 #[cfg(test)]
 mod tests {
     use clap::CommandFactory;
+    use pb3dp_wiring::message_codes::{Argument, option_of};
 
     use super::*;
 
     #[test]
     fn the_command_line_is_consistent() {
         Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn messages_ask_for_options_that_exist() {
+        let program = Cli::command();
+        let estimate = program.find_subcommand("estimate").unwrap();
+        for argument in Argument::ALL {
+            let option = option_of(argument);
+            let exists = estimate.get_arguments().any(|known| known.get_long() == option.strip_prefix("--"));
+            assert!(exists, "{argument:?}: {option}");
+        }
     }
 
     #[test]

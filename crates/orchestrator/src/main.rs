@@ -6,6 +6,7 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser};
 use pb3dp_orchestrator::cli::{Cli, Command};
 use pb3dp_orchestrator::{commands, logging, panics};
+use pb3dp_wiring::message_codes::{error_text, option_of, spell_arguments};
 
 const PROGRAM: pb3dp_commissioning::Program =
     pb3dp_commissioning::Program { commit: pb3dp_orchestrator::COMMIT, final_flush: logging::final_flush };
@@ -14,6 +15,7 @@ const PROGRAM: pb3dp_commissioning::Program =
 const USAGE: u8 = 2;
 
 fn main() -> ExitCode {
+    spell_arguments(option_of);
     let cli = Cli::parse();
     // Lives until the end, also after a panic.
     let _log = match logging::init(cli.log_format, cli.filter()) {
@@ -50,7 +52,7 @@ fn main() -> ExitCode {
     match outcome {
         Ok(code) => code,
         Err(error) => {
-            tracing::error!("{}", pb3dp_wiring::message_codes::error_text(&error));
+            tracing::error!("{}", error_text(&error));
             ExitCode::FAILURE
         }
     }

@@ -25,6 +25,7 @@ pub(crate) mod wording;
 /// The compiled part of the package; `pb3dp/__init__.py` exports it.
 #[pyo3::pymodule]
 mod _pb3dp {
+    use pb3dp_wiring::message_codes::{option_of, spell_arguments};
     use pyo3::prelude::*;
 
     #[pymodule_export]
@@ -54,6 +55,7 @@ mod _pb3dp {
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        spell_arguments(option_of);
         module.add("__version__", env!("CARGO_PKG_VERSION"))?;
         // An error without a code has `None`.
         module.getattr("Error")?.setattr("code", module.py().None())

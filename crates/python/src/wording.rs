@@ -1,7 +1,20 @@
-//! Messages of the library name options of the program; the package names its own arguments instead.
+//! Messages name the options of the program, as its output does; the package names its own arguments instead.
 
-/// Options in messages, and the arguments in their place. An option with its value comes before the same one without.
-const ARGUMENTS: [(&str, &str); 26] = [
+use pb3dp_wiring::message_codes::{Argument, option_of};
+
+/// The argument, or the method, for what a message asks for.
+fn in_package(argument: Argument) -> &'static str {
+    match argument {
+        Argument::DepthRange => "z_range_m",
+        Argument::TiltLimit => "tilt_max_rad",
+        Argument::VisibleSurface => "Estimator.visible_surface",
+        Argument::Skew => "skew_s",
+        Argument::Rectified => "rectified=True",
+    }
+}
+
+/// Options in messages about files and setups, and the arguments in their place. An option with its value comes before the same one without.
+const ARGUMENTS: [(&str, &str); 21] = [
     ("--topics LEFT,RIGHT", "topics=(LEFT, RIGHT)"),
     ("--range LOW,HIGH", "value_range=(LOW, HIGH)"),
     ("--calib FILE", "calibration=[FILE]"),
@@ -14,25 +27,22 @@ const ARGUMENTS: [(&str, &str); 26] = [
     ("--calib-lens brown", "lens=\"brown\""),
     ("--calib-lens equidistant", "lens=\"equidistant\""),
     ("--calib-lens", "lens"),
-    ("--rectified", "rectified=True"),
     ("--pair-within", "pair_within_s"),
-    ("--skew", "skew_s"),
     ("--rate", "rate_hz"),
     ("--range", "value_range"),
     ("--segment 1", "segment=1"),
     ("--segment 2", "segment=2"),
     ("--segment", "segment"),
-    ("--z-range", "z_range_m"),
-    ("--tilt-max", "tilt_max_rad"),
     ("--region", "region"),
-    ("--surface", "Estimator.visible_surface"),
     ("--config", "config"),
     ("--set", "settings"),
 ];
 
 /// A message for a caller in Python.
 pub fn in_python(message: &str) -> String {
-    ARGUMENTS.iter().fold(message.to_owned(), |text, (option, argument)| replaced(&text, option, argument))
+    let asked_for = Argument::ALL.map(|argument| (option_of(argument), in_package(argument)));
+    let arguments = ARGUMENTS.iter().chain(&asked_for);
+    arguments.fold(message.to_owned(), |text, (option, argument)| replaced(&text, option, argument))
 }
 
 /// Replaces an option where it is a word of its own, and not a part of a file name or of a longer option.

@@ -7,7 +7,19 @@ use pb3dp_arm_pa10::driver::{EmergencyStopCause, FaultCause, Refusal, WarmUpFail
 use pb3dp_arm_pa10::link::{HeldError, HelloError};
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfigError;
 use pb3dp_cell::message_codes::{self, CodeTable, table};
+pub use pb3dp_message_codes::{Argument, spell_arguments};
 use pb3dp_message_codes::{Coded, MessageCode};
+
+/// The option of the program for what a message asks for.
+pub fn option_of(argument: Argument) -> &'static str {
+    match argument {
+        Argument::DepthRange => "--z-range",
+        Argument::TiltLimit => "--tilt-max",
+        Argument::VisibleSurface => "--surface",
+        Argument::Skew => "--skew",
+        Argument::Rectified => "--rectified",
+    }
+}
 
 /// All tables, in the order of the reference.
 pub fn tables() -> Vec<CodeTable> {

@@ -15,7 +15,8 @@ const BELOW: &[(&str, &[&str])] = &[
     ("kinematics", &["geometry"]),
     ("estimation-core", &["message-codes", "computing", "geometry"]),
     ("estimation-test-support", &["estimation-core", "test-support"]),
-    ("estimation-direct", &["estimation-core"]),
+    ("estimation-views", &["estimation-core"]),
+    ("estimation-direct", &["estimation-views"]),
     ("estimation-track", &["estimation-direct"]),
     ("estimation-published", &["estimation-core"]),
     ("estimation", &["estimation-track", "estimation-published"]),
@@ -62,6 +63,7 @@ const BELOW_HAL_TESTS: [&str; 2] = ["hal-conformance", "hal-clock"];
 const BELOW_TESTS_OF: &[(&str, &str)] = &[
     ("cell", "arm-pa10-emulation"),
     ("estimation-core", "estimation-test-support"),
+    ("estimation-views", "estimation-test-support"),
     ("estimation-direct", "estimation-test-support"),
     ("estimation-track", "estimation-test-support"),
     ("estimation-published", "estimation-test-support"),

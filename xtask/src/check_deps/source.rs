@@ -107,6 +107,26 @@ const NAME_BACKENDS: [&str; 4] = [
 /// Modules that may use a speed scale: the setup that states it, and the type that applies it. All others get effective limits.
 const KNOW_SPEED_SCALE: [&str; 2] = ["crates/setup/", "crates/kinematics/src/effective_limits.rs"];
 
+/// Folders whose texts may name options of the program: its commands, what only they use, and the readers of files, whose messages
+/// `pb3dp-python` translates. All other code names an `Argument`.
+const NAME_OPTIONS: [&str; 15] = [
+    "crates/bag/",
+    "crates/benchmarks/",
+    "crates/calibration/",
+    "crates/cell/",
+    "crates/commissioning/",
+    "crates/orchestrator/",
+    "crates/panel/",
+    "crates/python/src/wording.rs",
+    "crates/record/",
+    "crates/recording/",
+    "crates/setup/",
+    "crates/wiring/",
+    "hal/camera-recordings/",
+    "hal/camera-replay/",
+    "hal/camera-v4l2/",
+];
+
 /// Checks one Rust file; tests, examples and the project's own commands are exempt.
 pub fn check(path: &str, text: &str) -> Vec<Violation> {
     let is_product = (path.starts_with("crates/") || path.starts_with("hal/")) && path.contains("/src/");
@@ -122,6 +142,7 @@ pub fn check(path: &str, text: &str) -> Vec<Violation> {
     let mut violations = worlds(path, &code);
     violations.extend(backends(path, &code));
     violations.extend(speed_scales(path, &code));
+    violations.extend(options(path, text));
     violations.sort();
     violations.dedup();
     violations
@@ -179,6 +200,25 @@ fn speed_scales(path: &str, code: &str) -> Vec<Violation> {
     let message = "`speed_scale`: use `EffectiveLimits`, which already contain it; do not multiply by it again";
     let found = code.match_indices("speed_scale");
     found.map(|(at, _)| Violation::at(path, line_at(code, at), "speed-scale", message)).collect()
+}
+
+/// Options of a command line in texts.
+fn options(path: &str, text: &str) -> Vec<Violation> {
+    // The remedies of message codes are the text of a command, `pb3dp explain`.
+    if NAME_OPTIONS.iter().any(|place| path.starts_with(place)) || path.ends_with("/src/codes.rs") {
+        return Vec::new();
+    }
+    let product = text.split("#[cfg(test)]\nmod ").next().unwrap_or_default();
+    let lines = product.lines().enumerate().filter(|(_, line)| !line.trim_start().starts_with("//"));
+    let names_option = |line: &str| {
+        line.match_indices("--").any(|(at, dashes)| {
+            let before = line[..at].ends_with([' ', '`', '"', '(']);
+            before && line[at + dashes.len()..].starts_with(|c: char| c.is_ascii_lowercase())
+        })
+    };
+    let message = "an option in a text: write an `Argument` of pb3dp-message-codes, which each program spells";
+    let found = lines.filter(|(_, line)| names_option(line));
+    found.map(|(index, _)| Violation::at(path, index + 1, "option-named", message)).collect()
 }
 
 #[cfg(test)]
@@ -253,6 +293,22 @@ mod tests {
         assert_eq!(rules("hal/middleware/src/guard.rs", text), ["speed-scale"]);
         assert!(rules("crates/kinematics/src/effective_limits.rs", text).is_empty());
         assert!(rules("crates/setup/src/setup/arms.rs", text).is_empty());
+    }
+
+    #[test]
+    fn options_are_caught_in_libraries() {
+        let path = "crates/estimation-direct/src/verdict.rs";
+        let message = |option: &str| format!("fn f() -> &'static str {{ \"widen the range ({option})\" }}");
+        assert_eq!(rules(path, &message("--z-range")), ["option-named"]);
+        assert!(rules("crates/orchestrator/src/arguments.rs", &message("--z-range")).is_empty());
+        for text in [
+            message("SearchRange"),
+            "// as for `--z-range`".to_owned(),
+            "fn f(x: i32) -> i32 { -x--1 }".to_owned(),
+            format!("#[cfg(test)]\nmod tests {{ {} }}", message("--z-range")),
+        ] {
+            assert!(rules(path, &text).is_empty(), "{text}");
+        }
     }
 
     #[test]

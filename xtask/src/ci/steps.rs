@@ -124,6 +124,7 @@ pub struct Step {
 /// Packages with unsafe kernels or fuzz targets.
 const KERNELS: &[&str] = &[
     "pb3dp-estimation-core",
+    "pb3dp-estimation-views",
     "pb3dp-estimation-direct",
     "pb3dp-estimation-track",
     "pb3dp-estimation-published",

@@ -7,8 +7,9 @@ use anyhow::{Context, bail};
 use crate::workspace::Workspace;
 
 /// The crates with code for one kind of processor.
-const WITH_KERNELS: [&str; 5] = [
+const WITH_KERNELS: [&str; 6] = [
     "pb3dp-estimation-core",
+    "pb3dp-estimation-views",
     "pb3dp-estimation-direct",
     "pb3dp-estimation-track",
     "pb3dp-estimation-published",

@@ -6,14 +6,14 @@ use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::plane_hypothesis::{PinholePair, PlaneHypothesis};
 use pb3dp_estimation_core::region::{RegionConfig, RegionMask};
-use pb3dp_estimation_direct::colour_planes::{ColourPlanes, Wanted};
-use pb3dp_estimation_direct::front_end::{Side, StereoFrontEnd};
-use pb3dp_estimation_direct::image_plane::{ImagePlane, PixelWindow};
 use pb3dp_estimation_published::estimator::PublishedConfig;
 use pb3dp_estimation_published::fitness::HueFitness;
 use pb3dp_estimation_published::hue::HuePlane;
 use pb3dp_estimation_published::photo_model::PhotoModel;
 use pb3dp_estimation_published::search::PlaneScore;
+use pb3dp_estimation_views::colour_planes::{ColourPlanes, Wanted};
+use pb3dp_estimation_views::front_end::{Side, StereoFrontEnd};
+use pb3dp_estimation_views::image_plane::{ImagePlane, PixelWindow};
 use pb3dp_geometry::StereoRig;
 
 use super::cell::Cell;

@@ -8,13 +8,9 @@ use pb3dp_estimation_core::cpu::{KernelSet, Kernels};
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::{Region, RegionMask};
-use pb3dp_estimation_direct::colour_planes::Wanted;
-use pb3dp_estimation_direct::disparity_plane::{DisparityPlane, DisparityRange};
 use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
-use pb3dp_estimation_direct::front_end::StereoFrontEnd;
 use pb3dp_estimation_direct::patches::SlantedPatches;
 use pb3dp_estimation_direct::photometric::PlaneRefiner;
-use pb3dp_estimation_direct::region_pyramid::{PyramidSource, RegionLevel, RegionPyramid};
 use pb3dp_estimation_direct::search::PlaneSearch;
 use pb3dp_estimation_direct::search::aggregate::Aggregation;
 use pb3dp_estimation_direct::search::volume::{CostVolume, LevelBox};
@@ -22,6 +18,10 @@ use pb3dp_geometry::StereoRig;
 use serde_json::Value;
 
 use super::times::Times;
+use pb3dp_estimation_views::colour_planes::Wanted;
+use pb3dp_estimation_views::disparity_plane::{DisparityPlane, DisparityRange};
+use pb3dp_estimation_views::front_end::StereoFrontEnd;
+use pb3dp_estimation_views::region_pyramid::{PyramidSource, RegionLevel, RegionPyramid};
 use pb3dp_hal_platform::cpu_time::timed;
 
 /// Input of a cold start.

@@ -3,9 +3,10 @@
 //! Patches across a depth edge follow the side with more texture, mostly the nearer one, and so make it larger than it is. Pixels in
 //! the middle count more: a rectangle around a target has it there, and the background at the border.
 
+use pb3dp_estimation_views::disparity_plane::DisparityRange;
+use pb3dp_estimation_views::region_pyramid::{LevelPlane, RegionLevel};
+
 use super::{ColdStart, Surface};
-use crate::disparity_plane::DisparityRange;
-use crate::region_pyramid::{LevelPlane, RegionLevel};
 use crate::search::Disparities;
 use crate::shape::surface_search;
 

@@ -1,11 +1,12 @@
 //! Other depths that explain the region: beyond the searched range, and copies inside and outside of it.
 
+use pb3dp_estimation_views::disparity_plane::DisparityPlane;
+use pb3dp_estimation_views::front_end::StereoFrontEnd;
+use pb3dp_estimation_views::region_pyramid::PyramidSource;
+
 use super::{ColdStart, ColdStartConfig};
 use crate::beyond::{BeyondRange, Examined, is_doubtful};
-use crate::disparity_plane::DisparityPlane;
-use crate::front_end::StereoFrontEnd;
 use crate::outcome::{ColdStartOutcome, support_of};
-use crate::region_pyramid::PyramidSource;
 
 /// Shortest period of a texture whose repetition may explain the region at another depth, pixels. Chosen by hand, not varied: noise that was
 /// filtered correlates over two pixels.

@@ -1,7 +1,8 @@
 //! Choice of the search levels: coarse if that is decisive, otherwise finer.
 
-use super::super::disparity_plane::{DisparityPlane, DisparityRange};
-use super::super::region_pyramid::LevelPlane;
+use pb3dp_estimation_views::disparity_plane::{DisparityPlane, DisparityRange};
+use pb3dp_estimation_views::region_pyramid::LevelPlane;
+
 use super::ColdStart;
 
 impl ColdStart {

@@ -6,9 +6,9 @@
 use nalgebra::Vector2;
 use pb3dp_estimation_core::wide::wide;
 
-use super::super::image_plane::ImagePlane;
-use super::super::row_shift::{BLOCK, keys};
 use pb3dp_estimation_core::row_offset::RowOffset;
+use pb3dp_estimation_views::image_plane::ImagePlane;
+use pb3dp_estimation_views::row_shift::{BLOCK, keys};
 
 /// Rows of pixels.
 #[derive(Clone, Copy, Debug)]
@@ -215,10 +215,10 @@ mod tests {
     use image::RgbImage;
     use pb3dp_estimation_core::cpu::Kernels;
 
-    use super::super::super::colour_planes::{ColourPlanes, Wanted};
-    use super::super::super::image_plane::PixelWindow;
-    use super::super::super::row_shift::shift_rows;
     use super::*;
+    use pb3dp_estimation_views::colour_planes::{ColourPlanes, Wanted};
+    use pb3dp_estimation_views::image_plane::PixelWindow;
+    use pb3dp_estimation_views::row_shift::shift_rows;
 
     fn image() -> RgbImage {
         RgbImage::from_fn(100, 80, |x, y| {

@@ -2,9 +2,9 @@
 
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::wide::wide;
+use pb3dp_estimation_views::image_plane::{ImagePlane, PixelWindow};
+use pb3dp_estimation_views::region_pyramid::{RegionLevel, is_visible};
 
-use super::super::image_plane::{ImagePlane, PixelWindow};
-use super::super::region_pyramid::{RegionLevel, is_visible};
 use super::super::search::ends_of;
 use super::kernel::{PointSet, SHARING, TOUCHED, UNUSABLE};
 use super::prepare::CameraChannels;

@@ -13,16 +13,16 @@ use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::image_view::{ImageView, RgbRows};
 use pb3dp_estimation_core::wide::wide;
 
-use super::super::colour_planes::{ColourPlanes, SATURATED, SATURATED_FROM, UNSEEN, Wanted};
-use super::super::filters::{PixelRows, Smoother, Taps};
-use super::super::front_end::{Side, StereoFrontEnd};
-use super::super::image_plane::{ImagePlane, PixelWindow};
-use super::super::region_pyramid::{PyramidSource, RegionLevel};
-use super::super::resample::ReducedImage;
-use super::super::row_shift::BLOCK;
 use super::kernel::{CHANNELS_MAX, UNUSABLE};
 use super::level_rows::{Grid, ImageRows, average_bytes, average_colours, average_values};
 use pb3dp_estimation_core::row_offset::RowOffset;
+use pb3dp_estimation_views::ReducedImage;
+use pb3dp_estimation_views::colour_planes::{ColourPlanes, SATURATED, SATURATED_FROM, UNSEEN, Wanted};
+use pb3dp_estimation_views::filters::{PixelRows, Smoother, Taps};
+use pb3dp_estimation_views::front_end::{Side, StereoFrontEnd};
+use pb3dp_estimation_views::image_plane::{ImagePlane, PixelWindow};
+use pb3dp_estimation_views::region_pyramid::{PyramidSource, RegionLevel};
+use pb3dp_estimation_views::row_shift::BLOCK;
 
 /// In a pixel with a saturated channel, channels from this value on are not used either, grey levels: interpolation may
 /// have reduced the brightness. Chosen by hand, not varied: with more, clipped values count; with less, bright pixels

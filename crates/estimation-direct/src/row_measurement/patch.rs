@@ -5,10 +5,9 @@ use std::ops::Range;
 use nalgebra::{Matrix2, Vector2};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::wide::wide;
-
-use crate::disparity_plane::DisparityRange;
-use crate::image_plane::ImagePlane;
-use crate::region_pyramid::RegionLevel;
+use pb3dp_estimation_views::disparity_plane::DisparityRange;
+use pb3dp_estimation_views::image_plane::ImagePlane;
+use pb3dp_estimation_views::region_pyramid::RegionLevel;
 
 /// Half width of a patch. Chosen by hand, not varied: larger patches cross more depth edges, smaller ones match by chance
 /// more often.

@@ -5,13 +5,13 @@ use pb3dp_estimation_core::image_view::ImageView;
 use pb3dp_estimation_core::region::{Region, RegionConfig, RegionMask};
 use pb3dp_estimation_core::rig_errors::{OFFSET, ROLL, RigErrors, SCALE};
 use pb3dp_estimation_core::row_offset::RowOffset;
+use pb3dp_estimation_views::colour_planes::Wanted;
+use pb3dp_estimation_views::disparity_plane::{DisparityRange, RectifiedGeometry};
+use pb3dp_estimation_views::region_pyramid::{PyramidSource, RegionPyramid};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, CamLeftRect};
 
 use super::{RowMatch, RowMeter, SPREAD_DOUBT_PX, fit, median};
-use crate::colour_planes::Wanted;
-use crate::disparity_plane::{DisparityRange, RectifiedGeometry};
-use crate::region_pyramid::{PyramidSource, RegionPyramid};
 
 /// Searches on a target, of which the one with the most points counts: the level, and the rows of this level on either side of the expected one.
 /// Chosen by hand, not varied: patches are small enough for few to cross the edge of the target.

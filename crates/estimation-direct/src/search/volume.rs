@@ -8,9 +8,8 @@ use std::ops::{Range, RangeInclusive};
 
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::wide::{LANES, wide};
-
-use crate::colour_planes::ColourPlanes;
-use crate::region_pyramid::{RegionLevel, is_visible};
+use pb3dp_estimation_views::colour_planes::ColourPlanes;
+use pb3dp_estimation_views::region_pyramid::{RegionLevel, is_visible};
 
 /// Pixels of a neighbourhood: 3 x 3. Chosen by hand: other sizes gave no improvement in the prototype of ADR 7 on 256 real
 /// regions.

@@ -1,6 +1,7 @@
 //! The first pair of a target: its plane, its relief, and what else looks like it.
 
 use nalgebra::{Point3, Vector2, Vector3};
+use pb3dp_estimation_core::Argument;
 use pb3dp_estimation_core::error::{EstimationError, check_image_sizes};
 use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose, TrackEstimate};
 use pb3dp_estimation_core::image_view::ImageView;
@@ -8,7 +9,7 @@ use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, KnownMode
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::{Region, RegionMask};
 use pb3dp_estimation_core::status::Status;
-use pb3dp_estimation_direct::image_plane::PixelWindow;
+use pb3dp_estimation_views::image_plane::PixelWindow;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Model};
 
@@ -92,10 +93,11 @@ impl DirectTracker {
         let z_m = *depths_m.get(depths_m.len() / 2)?;
         (!(range.z_min_m..=range.z_max_m).contains(&z_m)).then(|| {
             format!(
-                "the fitted surface is {:.0} mm away, outside the depth range of {:.0} to {:.0} mm: widen it (--z-range)",
+                "the fitted surface is {:.0} mm away, outside the depth range of {:.0} to {:.0} mm: widen it ({})",
                 1e3 * z_m,
                 1e3 * range.z_min_m,
-                1e3 * range.z_max_m
+                1e3 * range.z_max_m,
+                Argument::DepthRange
             )
         })
     }

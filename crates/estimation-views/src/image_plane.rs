@@ -30,11 +30,13 @@ impl PixelWindow {
     }
 
     /// The columns of a window inside an image.
+    #[inline]
     pub fn columns(&self) -> Range<usize> {
         self.x as usize..self.x as usize + self.width
     }
 
     /// The rows of a window inside an image.
+    #[inline]
     pub fn rows(&self) -> Range<usize> {
         self.y as usize..self.y as usize + self.height
     }
@@ -88,31 +90,37 @@ impl ImagePlane {
     }
 
     /// Columns.
+    #[inline]
     pub fn width(&self) -> usize {
         self.width
     }
 
     /// Rows.
+    #[inline]
     pub fn height(&self) -> usize {
         self.height
     }
 
     /// All values, row by row.
+    #[inline]
     pub fn values(&self) -> &[f32] {
         &self.values
     }
 
     /// All values, row by row.
+    #[inline]
     pub fn values_mut(&mut self) -> &mut [f32] {
         &mut self.values
     }
 
     /// A row.
+    #[inline]
     pub fn row(&self, y: usize) -> &[f32] {
         &self.values[y * self.width..(y + 1) * self.width]
     }
 
     /// A row.
+    #[inline]
     pub fn row_mut(&mut self, y: usize) -> &mut [f32] {
         &mut self.values[y * self.width..(y + 1) * self.width]
     }

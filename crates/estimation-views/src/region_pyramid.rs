@@ -62,8 +62,8 @@ pub struct RegionLevel {
     pub right: ColourPlanes,
     /// Per pixel of the left window: 1 if it belongs to the region.
     pub region: Vec<u8>,
-    /// Per pixel of the left window: bit 0 is set if the pixel is used for refinement. Initially the region; the patches update
-    /// it, see [`USABLE`](super::patches::USABLE) and [`SUPPORTS`](super::patches::SUPPORTS).
+    /// Per pixel of the left window: bit 0 is set if the pixel is used for refinement. Initially the region; the search
+    /// updates it.
     pub support: Vec<u8>,
     /// Number of pixels of the region.
     pub area_px: usize,
@@ -85,12 +85,14 @@ pub struct LevelPlane {
 
 impl RegionLevel {
     /// Converts a position in the left window to a rectified left pixel.
+    #[inline]
     pub fn full_from_level(&self, at: &Vector2<f64>) -> Vector2<f64> {
         let origin = Vector2::new(f64::from(self.left.window.x), f64::from(self.left.window.y));
         ((at + origin).add_scalar(0.5) * self.scale as f64).add_scalar(-0.5)
     }
 
     /// Converts a rectified left pixel to a position in the left window.
+    #[inline]
     pub fn level_from_full(&self, pixel: &Vector2<f64>) -> Vector2<f64> {
         let origin = Vector2::new(f64::from(self.left.window.x), f64::from(self.left.window.y));
         (pixel.add_scalar(0.5) / self.scale as f64).add_scalar(-0.5) - origin
@@ -98,11 +100,13 @@ impl RegionLevel {
 
     /// First column of the left window minus first column of the right window, pixels of the level. Subtracted from a grid
     /// disparity it gives a shift between the windows.
+    #[inline]
     pub fn column_shift(&self) -> i32 {
         self.left.window.x - self.right.window.x
     }
 
     /// Converts a plane to this level's pixels.
+    #[inline]
     pub fn level_plane(&self, plane: &DisparityPlane) -> LevelPlane {
         let at_origin = plane.at(&self.full_from_level(&Vector2::zeros()));
         LevelPlane {
@@ -114,6 +118,7 @@ impl RegionLevel {
     }
 
     /// Converts a plane from this level's pixels, with reference pixel `centre_px`.
+    #[inline]
     pub fn full_plane(&self, plane: &LevelPlane, centre_px: Vector2<f64>) -> DisparityPlane {
         let d0_px = (plane.c + f64::from(self.column_shift())) * self.scale as f64;
         let centre = self.full_from_level(&Vector2::zeros());
@@ -121,7 +126,7 @@ impl RegionLevel {
     }
 
     /// Marks the pixels that are marked in another level of the same size; its windows may be smaller or larger.
-    pub(super) fn take_support(&mut self, other: &Self) {
+    pub fn take_support(&mut self, other: &Self) {
         let (from, to) = (other.left.window, self.left.window);
         let end = |window: PixelWindow| window.x + window.width as i32;
         let (first, last) = (from.x.max(to.x), end(from).min(end(to)));
@@ -186,12 +191,12 @@ impl RegionPyramid {
     }
 
     /// Rectified pixels per pixel of the kept colours along rows and columns.
-    pub(super) fn colour_scale(&self) -> usize {
+    pub fn colour_scale(&self) -> usize {
         self.colour_scale.max(1)
     }
 
     /// Red, green and blue of a window, if the images were resampled and the colours are kept; see [`Self::colour_scale`].
-    pub(super) fn colours(&self, side: Side) -> Option<&ColourPlanes> {
+    pub fn colours(&self, side: Side) -> Option<&ColourPlanes> {
         let colours = &self.colours[side as usize];
         (self.used > 0 && !colours.flags.is_empty()).then_some(colours)
     }
@@ -424,6 +429,7 @@ fn halve_region_row_kernel(upper: &[u8], lower: &[u8], out: &mut [u8]) {
 }
 
 /// Whether a pixel with these flags is inside the image.
+#[inline]
 pub fn is_visible(flags: u8) -> bool {
     flags & UNSEEN == 0
 }

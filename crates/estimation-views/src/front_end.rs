@@ -105,7 +105,7 @@ impl StereoFrontEnd {
     }
 
     /// The part of the rectified images that [`StereoRig::rectify`] gives: all of it if images are used unchanged.
-    pub(super) fn middle(&self) -> PixelWindow {
+    pub fn middle(&self) -> PixelWindow {
         self.middle
     }
 
@@ -222,7 +222,7 @@ impl StereoFrontEnd {
 
     /// Resamples means over squares of `unit` x `unit` pixels; `window` is in such squares. Only for images that are resampled.
     #[allow(clippy::too_many_arguments, reason = "image, window, channels and buffers")]
-    pub(super) fn load_reduced(
+    pub fn load_reduced(
         &self,
         side: Side,
         raw: ImageView<'_>,

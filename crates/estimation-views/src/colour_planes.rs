@@ -67,11 +67,13 @@ pub const UNSEEN: u8 = 2;
 
 impl ColourPlanes {
     /// The luminance plane.
+    #[inline]
     pub fn luminance(&self) -> &ImagePlane {
         &self.planes[0]
     }
 
-    pub(super) fn resize(&mut self, window: PixelWindow, wanted: Wanted) {
+    /// Sets the window and the channels; the values are undefined afterwards.
+    pub fn resize(&mut self, window: PixelWindow, wanted: Wanted) {
         self.window = window;
         self.planes[0].resize(window.width, window.height);
         let (width, height) = if wanted.planes() == 3 { (window.width, window.height) } else { (0, 0) };

@@ -23,7 +23,8 @@ use pb3dp_geometry::maps::PixelMap;
 use cells::CellPositions;
 pub(super) use cells::{CELL, for_each_cell};
 use patch::Patch;
-pub(super) use source::{REDUCTION_MAX, ReducedImage};
+pub(super) use source::REDUCTION_MAX;
+pub use source::ReducedImage;
 use source::{RawImage, Value};
 
 use super::colour_planes::{ColourPlanes, SATURATED, UNSEEN, Wanted};

@@ -8,47 +8,50 @@ use pb3dp_estimation_core::row_offset::RowOffset;
 use super::disparity_plane::{DisparityPlane, RectifiedGeometry};
 
 /// Conversion of planes from the rectified pair to the raw left camera.
-pub(super) struct RawView {
-    pub(super) geometry: RectifiedGeometry,
+pub struct RawView {
+    /// Geometry of the rectified pair.
+    pub geometry: RectifiedGeometry,
     /// Rotation `cam_left_from_cam_left_rect`.
-    pub(super) turn: Matrix3<f64>,
+    pub turn: Matrix3<f64>,
     /// Ray of the region's centroid, third component 1.
-    pub(super) ray: Vector3<f64>,
+    pub ray: Vector3<f64>,
     /// Known errors of the rig, which are taken out.
-    pub(super) errors: Option<RigErrors>,
+    pub errors: Option<RigErrors>,
 }
 
 impl RawView {
-    pub(super) fn inverse_depth_plane(&self, plane: &DisparityPlane) -> Vector3<f64> {
+    /// The inverse-depth plane in the raw left camera, 1/m.
+    pub fn inverse_depth_plane(&self, plane: &DisparityPlane) -> Vector3<f64> {
         let columns = self.errors.map_or(Vector3::zeros(), |errors| errors.of_plane(&self.place(plane)));
         self.turn * plane.with_parameters(&(plane.parameters() - columns)).inverse_depth_plane(&self.geometry)
     }
 
-    pub(super) fn pose(&self, plane: &DisparityPlane) -> Option<PlanePose> {
+    /// The pose of a plane in the raw left camera; `None` if the plane is not in front of it on the ray of the centroid.
+    pub fn pose(&self, plane: &DisparityPlane) -> Option<PlanePose> {
         PlanePose::from_inverse_depth_plane(self.inverse_depth_plane(plane), &self.ray)
     }
 
     /// The share of the rig's remaining errors in the covariance of a plane.
-    pub(super) fn covariance_of_errors(&self, plane: &DisparityPlane) -> Matrix3<f64> {
+    pub fn covariance_of_errors(&self, plane: &DisparityPlane) -> Matrix3<f64> {
         self.errors.map_or(Matrix3::zeros(), |errors| errors.plane_covariance(&self.place(plane)))
     }
 
     /// Depth at a left pixel with this disparity, metres, as a rectified camera without errors measures it.
-    pub(super) fn depth_m(&self, at_px: &Vector2<f64>, disparity_px: f64) -> Option<f64> {
+    pub fn depth_m(&self, at_px: &Vector2<f64>, disparity_px: f64) -> Option<f64> {
         let plane = DisparityPlane { centre_px: *at_px, d0_px: disparity_px, slope: Vector2::zeros() };
         let columns_px = self.errors.map_or(0.0, |errors| errors.of_plane(&self.place(&plane)).x);
         self.geometry.depth_m(disparity_px - columns_px)
     }
 
     /// Row offset of a plane in the rectified pair that the errors explain, pixels.
-    pub(super) fn row_offset_px(&self, plane: &DisparityPlane) -> f64 {
+    pub fn row_offset_px(&self, plane: &DisparityPlane) -> f64 {
         let place = self.place(plane);
         let rows = self.errors.map_or(0.0, |errors| errors.row_offset(&place.right_ray(), place.disparity).0);
         rows * self.geometry.focal_px.y
     }
 
     /// The row offsets near the region, at a depth, that the errors explain.
-    pub(super) fn rows(&self, depth_m: f64) -> RowOffset {
+    pub fn rows(&self, depth_m: f64) -> RowOffset {
         let geometry = &self.geometry;
         let ray = self.turn.transpose() * self.ray;
         let disparity = geometry.baseline_m / (depth_m * ray.z);
@@ -64,7 +67,7 @@ impl RawView {
 }
 
 /// The row offsets near a place.
-pub(super) fn rows_near(errors: &RigErrors, place: &PlanePlace, geometry: &RectifiedGeometry) -> RowOffset {
+pub fn rows_near(errors: &RigErrors, place: &PlanePlace, geometry: &RectifiedGeometry) -> RowOffset {
     let right = place.right_ray();
     let (offset, _) = errors.row_offset(&right, place.disparity);
     let [by_x, by_y] = errors.row_slope(&right);

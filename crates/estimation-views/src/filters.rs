@@ -50,11 +50,13 @@ impl Taps {
     }
 
     /// Number of weights on each side of the centre.
+    #[inline]
     pub fn radius(&self) -> usize {
         self.radius
     }
 
     /// The weights, first to last.
+    #[inline]
     pub fn weights(&self) -> &[f32] {
         &self.weights[..=2 * self.radius]
     }

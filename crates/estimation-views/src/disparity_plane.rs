@@ -32,22 +32,26 @@ impl RectifiedGeometry {
     }
 
     /// Focal length times baseline: disparity (offset included) times depth, pixel metres.
+    #[inline]
     pub fn focal_baseline_px_m(&self) -> f64 {
         self.focal_px.x * self.baseline_m
     }
 
     /// Disparity of a depth, pixels: column in the left image minus column in the right one.
+    #[inline]
     pub fn disparity_px(&self, z_m: f64) -> f64 {
         self.focal_baseline_px_m() / z_m - self.disparity_offset_px
     }
 
     /// Depth of a disparity, metres; `None` at and beyond infinity.
+    #[inline]
     pub fn depth_m(&self, disparity_px: f64) -> Option<f64> {
         let full = disparity_px + self.disparity_offset_px;
         (full > 0.0).then(|| self.focal_baseline_px_m() / full)
     }
 
     /// Ray of a left pixel, third component 1.
+    #[inline]
     pub fn left_ray(&self, pixel: &Vector2<f64>) -> Vector3<f64> {
         (pixel - self.left_principal_px).component_div(&self.focal_px).push(1.0)
     }
@@ -75,26 +79,31 @@ pub struct DisparityPlane {
 
 impl DisparityPlane {
     /// Disparity at a left pixel, pixels.
+    #[inline]
     pub fn at(&self, pixel: &Vector2<f64>) -> f64 {
         self.d0_px + self.slope.dot(&(pixel - self.centre_px))
     }
 
     /// The same plane with another reference pixel.
+    #[inline]
     pub fn centred_at(&self, centre_px: Vector2<f64>) -> Self {
         Self { centre_px, d0_px: self.at(&centre_px), slope: self.slope }
     }
 
     /// `(d0, du, dv)`.
+    #[inline]
     pub fn parameters(&self) -> Vector3<f64> {
         Vector3::new(self.d0_px, self.slope.x, self.slope.y)
     }
 
     /// The plane with other parameters `(d0, du, dv)` at the same centre.
+    #[inline]
     pub fn with_parameters(&self, p: &Vector3<f64>) -> Self {
         Self { centre_px: self.centre_px, d0_px: p.x, slope: Vector2::new(p.y, p.z) }
     }
 
     /// The inverse-depth plane in the rectified left camera, 1/m: `q . ray` is the inverse depth.
+    #[inline]
     pub fn inverse_depth_plane(&self, geometry: &RectifiedGeometry) -> Vector3<f64> {
         inverse_depth_from_disparity(geometry, &self.centre_px) * self.parameters()
             + Vector3::new(0.0, 0.0, geometry.disparity_offset_px / geometry.focal_baseline_px_m())
@@ -120,6 +129,7 @@ impl DisparityPlane {
 
 /// The linear part of the map from `(d0, du, dv)` at `centre_px` to the inverse-depth plane, 1/m; used to propagate
 /// covariances.
+#[inline]
 pub fn inverse_depth_from_disparity(geometry: &RectifiedGeometry, centre_px: &Vector2<f64>) -> Matrix3<f64> {
     let (f, c) = (geometry.focal_px, geometry.left_principal_px - centre_px);
     Matrix3::new(0.0, f.x, 0.0, 0.0, 0.0, f.y, 1.0, c.x, c.y) / geometry.focal_baseline_px_m()

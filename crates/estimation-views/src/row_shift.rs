@@ -9,11 +9,11 @@ use super::image_plane::ImagePlane;
 use pb3dp_estimation_core::row_offset::RowOffset;
 
 /// Number of columns moved by the same offset.
-pub(super) const BLOCK: usize = 2 * LANES;
+pub const BLOCK: usize = 2 * LANES;
 
 /// Writes `source` into `out` so that row `v` shows `source` at row `v + offset`. The rows are interpolated with a cubic
 /// kernel, and pixels without a source row are flagged as unseen.
-pub(super) fn shift_rows(source: &ColourPlanes, rows: &RowOffset, kernels: Kernels, out: &mut ColourPlanes) {
+pub fn shift_rows(source: &ColourPlanes, rows: &RowOffset, kernels: Kernels, out: &mut ColourPlanes) {
     let window = source.window;
     let wanted = if source.planes[1].width() > 0 { Wanted::Colour } else { Wanted::Luminance };
     out.resize(window, wanted);
@@ -96,7 +96,7 @@ fn mix<const N: usize>([a, b, c, d]: [&[f32; N]; 4], weights: [f32; 4], out: &mu
 
 /// Weights of the four rows at -1, 0, 1, 2 for a position `t` in 0..1 (Keys 1981, a = -1/2).
 #[inline(always)]
-pub(super) fn keys(t: f32) -> [f32; 4] {
+pub fn keys(t: f32) -> [f32; 4] {
     let (t2, t3) = (t * t, t * t * t);
     [0.5 * (2.0 * t2 - t - t3), 0.5 * (3.0 * t3 - 5.0 * t2 + 2.0), 0.5 * (4.0 * t2 + t - 3.0 * t3), 0.5 * (t3 - t2)]
 }
