@@ -90,7 +90,7 @@ pub fn random_bytes<const N: usize>() -> Result<[u8; N], KeyFileError> {
     Ok(bytes)
 }
 
-/// Reads the bytes of a key: the file is as [`read_secret`] needs it, the text hexadecimal.
+/// Reads the bytes of a key, in hexadecimal digits, from a file that only the user of this program may read (mode 0600 or 0400).
 ///
 /// # Errors
 /// If the file cannot be read, others can read it, or it holds no key of `bytes_min` bytes.
