@@ -1,3 +1,5 @@
+//! Plane hypotheses: golden projections, one-to-one parameters, and what is refused.
+
 use nalgebra::Point3;
 use pb3dp_estimation_test_support::scene::{self, Scene};
 use proptest::prelude::*;

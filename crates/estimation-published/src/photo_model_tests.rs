@@ -1,3 +1,5 @@
+//! The photo model: number, spacing and hues of its points, and parameters that are refused.
+
 use image::{Rgb, RgbImage};
 use pb3dp_geometry::ImageSize;
 use proptest::prelude::*;

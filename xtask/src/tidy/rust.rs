@@ -1,4 +1,4 @@
-//! Rules for Rust files beside the lints of clippy: length of a file, and tests that prove nothing.
+//! Rules for Rust files beside the lints of clippy: purpose and length of a file, and tests that prove nothing.
 
 use crate::rust_text::{code_only, line_at, word_positions};
 use crate::violation::Violation;
@@ -8,9 +8,15 @@ const FILE_LINES_MAX: usize = 600;
 /// All rules for one file.
 pub fn check(path: &str, text: &str) -> Vec<Violation> {
     let mut violations = test_attributes(path, &code_only(text));
-    let lines = text.lines().count();
     // What bindgen has made is not edited.
-    if lines > FILE_LINES_MAX && !path.starts_with("hal/vendor/") {
+    if path.starts_with("hal/vendor/") {
+        return violations;
+    }
+    if !text.starts_with("//!") {
+        violations.push(Violation::of(path, "first-line", "begin with `//!` and what the file is for"));
+    }
+    let lines = text.lines().count();
+    if lines > FILE_LINES_MAX {
         let message = format!("{lines} lines, at most {FILE_LINES_MAX}: split it by topic");
         violations.push(Violation::of(path, "file-length", message));
     }
@@ -40,13 +46,19 @@ mod tests {
     use super::*;
 
     fn rules(text: &str) -> Vec<&'static str> {
-        check("a.rs", text).into_iter().map(|v| v.rule).collect()
+        check("a.rs", &format!("//! A file.\n{text}")).into_iter().map(|v| v.rule).collect()
+    }
+
+    #[test]
+    fn a_file_without_its_purpose_is_caught() {
+        assert_eq!(check("a.rs", "use b;\n//! A file.\n").len(), 1);
+        assert!(check("hal/vendor/a.rs", "use b;\n").is_empty() && rules("use b;\n").is_empty());
     }
 
     #[test]
     fn a_long_file_is_caught() {
-        assert!(rules(&"// x\n".repeat(600)).is_empty());
-        assert_eq!(rules(&"// x\n".repeat(601)), ["file-length"]);
+        assert!(rules(&"// x\n".repeat(599)).is_empty());
+        assert_eq!(rules(&"// x\n".repeat(600)), ["file-length"]);
         assert!(check("hal/vendor/a.rs", &"// x\n".repeat(601)).is_empty());
     }
 

@@ -1,3 +1,5 @@
+//! The target region: its pixels by rectangle, mask and click, and what is refused or warned of.
+
 use image::{Rgb, RgbImage};
 
 use super::*;

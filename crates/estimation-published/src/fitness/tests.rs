@@ -1,3 +1,5 @@
+//! The published fitness: votes as in the paper, with every kernel, and refused hypotheses.
+
 use image::{Rgb, RgbImage};
 use nalgebra::Vector2;
 use pb3dp_estimation_core::rng::SplitMix64;

@@ -1,3 +1,5 @@
+//! Hue: golden values, the gate for grey, and kernels that agree bit for bit.
+
 use image::{Rgb, RgbImage};
 use pb3dp_estimation_test_support::every_kernel;
 use proptest::prelude::*;

@@ -1,3 +1,5 @@
+//! Observability: peaks, ridges and flat landscapes, and what each says of the estimate.
+
 use pb3dp_estimation_core::plane_hypothesis::{PlaneHypothesis, SearchRange};
 use pb3dp_geometry::ranges::OutOfRange;
 

@@ -1,3 +1,5 @@
+//! Exhaustive search: the truth at the optimum, ties, and parts that merge.
+
 use image::RgbImage;
 use nalgebra::Vector2;
 use pb3dp_estimation_core::cpu::Kernels;

@@ -1,3 +1,5 @@
+//! The genetic algorithm: it climbs, keeps its best, follows known motion, and repeats with its seed.
+
 use std::cell::Cell;
 
 use pb3dp_estimation_core::plane_hypothesis::PlaneHypothesis;

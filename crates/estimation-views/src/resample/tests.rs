@@ -1,3 +1,5 @@
+//! Resampled windows: parts of the whole image, means of the raw one, and places that the lens gives.
+
 use image::RgbImage;
 use nalgebra::{Vector2, Vector3};
 use pb3dp_estimation_test_support::every_kernel;

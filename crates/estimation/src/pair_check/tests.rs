@@ -1,3 +1,5 @@
+//! Check of a pair: exchanged, mirrored, shifted and unrelated images are named.
+
 #![allow(clippy::expect_used, reason = "tests")]
 
 use std::path::Path;

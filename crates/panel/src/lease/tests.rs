@@ -1,3 +1,5 @@
+//! The lease of the panel: nonces, take-over, silence, hold-to-run and names.
+
 use super::*;
 
 /// Counts up, so that each token differs.

@@ -1,3 +1,5 @@
+//! The panel as operator: order of its commands, signs of life, and troubles shown.
+
 use pb3dp_geometry::Pose;
 use pb3dp_servo::supervisor::{ConditionSet, Why};
 

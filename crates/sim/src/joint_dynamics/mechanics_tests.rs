@@ -1,3 +1,5 @@
+//! Mechanics of a joint: friction, brake, gravity, and free joints.
+
 use std::time::Duration;
 
 use pb3dp_geometry::MonotonicTime;

@@ -1,3 +1,5 @@
+//! Joint dynamics: response, stops, counts, history, and commands that expire.
+
 use proptest::prelude::*;
 
 use super::*;

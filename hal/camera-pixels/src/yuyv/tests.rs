@@ -1,3 +1,5 @@
+//! Colours of YUYV: the equations, and vectors that give the bytes of the scalar code.
+
 use super::*;
 use proptest::prelude::*;
 

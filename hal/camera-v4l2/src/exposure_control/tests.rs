@@ -1,3 +1,5 @@
+//! Exposure control: reaction to darker scenes, limits, and when it changes nothing.
+
 use proptest::prelude::*;
 
 use super::*;

@@ -1,3 +1,5 @@
+//! Shaped velocities: limits that hold, and directions that are kept.
+
 use proptest::prelude::*;
 
 use super::*;

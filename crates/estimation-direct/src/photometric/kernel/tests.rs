@@ -1,3 +1,5 @@
+//! The inner loop: each kernel sums what single points give, and reads nothing outside the planes.
+
 use pb3dp_estimation_core::cpu::Kernels;
 
 use super::sums::{ChannelSums, SingleSums};
