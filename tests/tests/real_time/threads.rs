@@ -230,7 +230,8 @@ fn a_slow_estimator_holds_neither_capture_nor_control_up_and_gets_the_newest_fra
     let (done, ended, punctuality) = run(Pace::Live, Script { estimate, ..QUIET });
     ended.unwrap().unwrap();
     let (captured, estimated) = (of(&done.captured), of(&done.estimated));
-    assert!(punctuality.capture.dropped >= MANY - 1, "{punctuality:?}");
+    // The slot held the first frame of the wait, and the last one may be counted but not yet handed over.
+    assert!(punctuality.capture.dropped >= MANY - 2, "{punctuality:?}");
     assert!(captured > MANY && estimated < MANY, "{captured} frames, {estimated} of them estimated");
     assert_eq!(punctuality.control.lateness.summary().cycles, of(&done.steps));
 }
