@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::time::Duration;
 
 use anyhow::Result;
 use pb3dp_hal_api::Clock;
@@ -28,32 +27,6 @@ pub trait EmulatedArm: Send {
     /// # Errors
     /// Names the wrong part of the line and its replacement; the emulation stays unchanged.
     fn command_line(&self, line: &str) -> Result<()>;
-}
-
-/// The stop order of an arm; any thread can use it.
-pub trait StopOrder: Send {
-    /// Whether the stop is done and acknowledged, or was not needed.
-    fn is_done(&self) -> bool;
-
-    /// Sends the stop order.
-    fn give(&self);
-}
-
-/// An arm on a bus of this computer: only this process can stop it.
-pub struct ArmOnBus {
-    /// Name in messages.
-    pub name: &'static str,
-    /// Stop order of the arm.
-    pub order: Box<dyn StopOrder>,
-    /// Time that its brakes take to close.
-    pub brake_time: Duration,
-}
-
-impl ArmOnBus {
-    /// Whether the stop is done and acknowledged, or was not needed.
-    pub fn is_stopped(&self) -> bool {
-        self.order.is_done()
-    }
 }
 
 /// One of the two arms.
@@ -127,8 +100,6 @@ pub struct Parts {
     pub links: Vec<(&'static str, Box<dyn LinkMonitor>)>,
     /// Emulated arms at the other end of links; dropping this field ends them.
     pub emulated: Vec<Box<dyn EmulatedArm>>,
-    /// Arms that no gateway would stop.
-    pub on_bus: Vec<ArmOnBus>,
     /// Source of the operator commands.
     pub operator: Box<dyn Operator>,
     /// The simulated target, if a person pushes it.

@@ -15,7 +15,7 @@ use pb3dp_arm_pa10_protocol::codec::StatusSignals;
 use pb3dp_cell::parts::ArmChoice;
 use pb3dp_record::text_file::read_text;
 use pb3dp_record::unique_json;
-use pb3dp_setup::setup::{ArmLink, ArmSetup, Setup};
+use pb3dp_setup::setup::{ArmSetup, Setup};
 use serde::{Deserialize, Serialize};
 
 pub use self::tested::{GatewaySettings, SetupSettings};
@@ -287,11 +287,6 @@ impl NeededRecord {
         let key = format!("{}.commissioning_record", arm.key);
         let word = if choice == ArmChoice::Vs { "vs" } else { "tc" };
         let remedy = format!("run `pb3dp arm test --arm {word} --move`, or use the values that need no record");
-        if matches!(arm.link, ArmLink::Bus(_)) {
-            bail!(
-                "an arm on a bus has no gateway that `pb3dp arm test` could check; use the values that need no record"
-            );
-        }
         let Some(path) = &arm.commissioning_record else {
             bail!("{key} is not set; name a file there, then {remedy}");
         };

@@ -15,7 +15,7 @@ use pb3dp_arm_pa10_gateway::gateway::GatewayStatus;
 use pb3dp_arm_pa10_gateway::service::{
     Access, BusOpener, Ending, GatewayServer, GatewayServerConfig, Happened, HostSide,
 };
-use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, GatewayState, StopCause};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{GatewayState, StopCause};
 use pb3dp_arm_pa10_protocol::places::BusTarget;
 use pb3dp_cell::terminal::{has_term, typed_lines};
 use pb3dp_hal_platform::key_file::write_new_key;
@@ -172,21 +172,16 @@ fn watch_signals(mut signals: StopSignals, ending: &Ending) -> std::io::Result<O
 
 fn bus_opener(target: &BusTarget) -> BusOpener {
     let target = target.clone();
-    Box::new(move || pb3dp_arm_pa10::bus::open(&target))
+    Box::new(move || pb3dp_arm_pa10_gateway::bus::open(&target))
 }
 
 fn host_side(setup: &GatewaySetup) -> Result<HostSide> {
     Ok(match &setup.host {
         HostPlace::Tcp(config) => HostSide::listen(config.address, setup.gateway.arm, read_access(&setup.access)?)?,
         HostPlace::Local(socket) => HostSide::listen_at_socket(&socket.path, setup.gateway.arm)?,
-        HostPlace::Serial(path) => HostSide::Line(Box::new(SerialConfig {
-            path: path.clone(),
-            baud: setup.baud,
-            // The longer dialect; the host chooses its own.
-            dialect: Dialect::GatewayV1,
-            format: setup.gateway.format,
-            cycle: HOST_CYCLE_MAX,
-        })),
+        HostPlace::Serial(path) => {
+            HostSide::Line(Box::new(SerialConfig { path: path.clone(), baud: setup.baud, cycle: HOST_CYCLE_MAX }))
+        }
     })
 }
 
@@ -325,7 +320,7 @@ fn tell(what: &Happened) {
         ),
         Happened::StopAcknowledged => tracing::info!("the controller answers and executes the stop order"),
         Happened::HostConnected => tracing::info!("host line connected"),
-        Happened::HostGreeted(dialect) => tracing::info!("host sent HELLO, dialect {dialect}"),
+        Happened::HostGreeted => tracing::info!("host sent HELLO"),
         Happened::HostGone(symptom) if is_normal_end(*symptom) => tracing::info!("the host has closed its line"),
         Happened::HostGone(symptom) => tracing::warn!("host line lost ({symptom})"),
         Happened::HostReplaced => tracing::warn!("a silent connection was replaced by a new one"),

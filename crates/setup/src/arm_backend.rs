@@ -11,14 +11,13 @@ pub(crate) enum ArmBackend {
     Serial,
     Tcp,
     Local,
-    Arcnet,
 }
 
 /// Whether this word is a backend of arms outside this program. An unknown word is none: it is refused as such.
 pub(crate) fn is_real_backend(word: &str) -> bool {
     let known = ArmBackend::deserialize(serde::de::value::StrDeserializer::<serde::de::value::Error>::new(word));
     match known {
-        Ok(ArmBackend::Serial | ArmBackend::Tcp | ArmBackend::Local | ArmBackend::Arcnet) => true,
+        Ok(ArmBackend::Serial | ArmBackend::Tcp | ArmBackend::Local) => true,
         Ok(ArmBackend::Mock | ArmBackend::Emulated) | Err(_) => false,
     }
 }

@@ -440,9 +440,21 @@ fn ways_to_an_arm_that_do_not_fit_are_refused() {
              elbow, wrist and flange, arms.vs.robot has 317.0, 450.0, 480.0, 70.0 mm; measure the arm",
         ),
         ("hil.toml", &other, "arms.vs.gateway.geometry = \"second-generation\""),
-        ("hil.toml", "arms.vs.backend = \"arcnet\"", "arms.vs.gateway: an arm with backend = \"arcnet\" has none"),
+        (
+            "hil.toml",
+            "arms.vs.backend = \"arcnet\"",
+            "arms.vs.backend = \"arcnet\": this word is gone: the gateway is the only",
+        ),
+        ("hil.toml", "arms.vs.bus = { arm = 1 }", "arms.vs.bus: this key is gone: the gateway is the only"),
+        (
+            "hil.toml",
+            "arms.vs.gateway.dialect = \"transparent\"",
+            "arms.vs.gateway.dialect = \"transparent\": this word is gone: host and gateway have one set of messages; remove the key",
+        ),
     ]);
     let mut sample = Sample::new("hil.toml", |file| read_setup(file).map(drop));
+    change_lines(&mut sample.table, "arms.vs.gateway.dialect = \"gateway-v1\"");
+    assert_eq!(sample.refusal_of(&[]), None, "setups of earlier versions, in recordings too");
     let serial = "backend = \"serial\"\ngateway = { port = \"/dev/ttyUSB0\", baud = 921600 }";
     change_lines(&mut sample.table, &format!("[arms.vs]\n{serial}"));
     assert_eq!(sample.refusal_of(&[]), None);

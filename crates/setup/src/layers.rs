@@ -189,7 +189,7 @@ const KINDS: [(&str, &[&str]); 5] = [
 ];
 
 /// Tables that belong to one kind of link.
-const OF_LINK: [&str; 2] = ["gateway", "bus"];
+const OF_LINK: [&str; 1] = ["gateway"];
 
 /// The only key that environment variables may set for a setup with real arms: every other one decides what moves, how fast, or
 /// which pose is believed.

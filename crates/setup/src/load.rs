@@ -166,9 +166,17 @@ impl ConfigFile {
 }
 
 /// Keys of earlier versions, by their ends, and what to do instead.
-const REMOVED: [(&str, &str); 2] = [("gateway.certificate", NO_TLS), ("access.tls", NO_TLS)];
+const REMOVED: [(&str, &str); 3] = [("gateway.certificate", NO_TLS), ("access.tls", NO_TLS), (".bus", NO_BUS)];
 const NO_TLS: &str = "the key file alone protects the link to a gateway; remove this one, and where joint angles must be secret, run the \
                       link through an encrypted tunnel (docs/gateway.md)";
+
+const NO_BUS: &str = "the gateway is the only program on the bus of an arm: run `pb3dp gateway` on this computer with these values, then \
+                      write backend = \"local\" and gateway.socket here (docs/gateway.md)";
+/// The same for a word.
+const REMOVED_WORDS: [(&str, &str, &str); 2] = [
+    (".backend", "arcnet", NO_BUS),
+    ("gateway.dialect", "transparent", "host and gateway have one set of messages; remove the key"),
+];
 
 /// More problems are not reported.
 const PROBLEMS_MAX: usize = 300;
@@ -257,6 +265,10 @@ fn describe(error: &figment::Error) -> String {
             format!("{key}{MISSING}; the setup must state it")
         }
         Kind::UnknownVariant(found, known) => {
+            let is_it = |(key, word, _): &&(&str, &str, &str)| path.ends_with(key) && found == word;
+            if let Some((_, word, advice)) = REMOVED_WORDS.iter().find(is_it) {
+                return format!("{at} = {word:?}: this word is gone: {advice}");
+            }
             let meant = nearest(found, known).map(|word| format!("; did you mean {word}?")).unwrap_or_default();
             format!("{at}: {}{meant}", plain(&error.kind.to_string()))
         }

@@ -6,10 +6,10 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use pb3dp_arm_pa10::arm::{
-    ArmMonitor, BusArmConfig, KeyedTcp, Pa10Arm, Pa10ArmConfig, REALTIME, TripHandle, TripSeat, VirtualTime,
-    read_shared_key, trip_line, virtual_trip_line,
+    ArmMonitor, KeyedTcp, Pa10Arm, Pa10ArmConfig, TripHandle, TripSeat, VirtualTime, read_shared_key, trip_line,
+    virtual_trip_line,
 };
-use pb3dp_arm_pa10::driver::{Activity, DriverConfig, DriverState, LimitsCheck};
+use pb3dp_arm_pa10::driver::{DriverConfig, LimitsCheck};
 use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10_emulation::far_end::FarEnd;
 use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockPort, MockServer, MockServerConfig};
@@ -21,14 +21,14 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::Firmware;
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_cell::cell::{ArmSite, JointSource};
 use pb3dp_cell::flight::FLIGHT;
-use pb3dp_cell::parts::{ArmControl, ArmOnBus, EmulatedArm, GatewayLimits, LinkCounts, LinkMonitor, StopOrder};
+use pb3dp_cell::parts::{ArmControl, EmulatedArm, GatewayLimits, LinkCounts, LinkMonitor};
 use pb3dp_hal_api::{Arm, ArmPower, Clock, JointState};
 use pb3dp_hal_middleware::{FlightLog, Guard, Limiter, Recorded, SampleListener, couple};
 use pb3dp_hal_platform::jitter::Jitter;
 use pb3dp_hal_platform::only_program::OnlyProgram;
 use pb3dp_hal_platform::realtime::Realtime;
 use pb3dp_hal_platform::transport::Connector;
-use pb3dp_setup::setup::{ArmLink, ArmSetup, BusLinkConfig, GatewayWay, Setup};
+use pb3dp_setup::setup::{ArmLink, ArmSetup, GatewayWay, Setup};
 use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig};
 
 use super::gateway_check;
@@ -62,26 +62,6 @@ pub struct WiredArms {
     pub emulated: Vec<MockServer>,
     /// Arms that are emulated in simulated time.
     pub standing: Vec<SimulatedArm>,
-    /// Arms that no gateway would stop.
-    pub on_bus: Vec<ArmOnBus>,
-}
-
-/// The stop order of an arm on a bus, and its acknowledgement.
-struct BusStop {
-    monitor: ArmMonitor,
-    trip: TripHandle,
-}
-
-impl StopOrder for BusStop {
-    fn is_done(&self) -> bool {
-        let now = self.monitor.snapshot();
-        let is_off = now.latched.is_some() || matches!(now.state, DriverState::Disconnected | DriverState::Connected);
-        is_off && now.activity == Activity::None && !now.stop_unacknowledged
-    }
-
-    fn give(&self) {
-        self.trip.trip();
-    }
 }
 
 /// The link of a real or emulated arm.
@@ -154,10 +134,6 @@ pub(super) fn wire_arms_to(
     [vs_wanted.arm, tc_wanted.arm].into_iter().try_for_each(ArmSetup::check_signals)?;
     let sole = sole_program(&[vs_wanted.arm, tc_wanted.arm])?;
     let (vs, tc) = (wire_backend(vs_wanted, seat()?, &sole)?, wire_backend(tc_wanted, seat()?, &sole)?);
-    let on_bus = [(vs_name, &setup.rig.arms.vs, &vs), (tc_name, &setup.rig.arms.tc, &tc)]
-        .into_iter()
-        .filter_map(arm_on_bus)
-        .collect();
     let (vs_guarded, vs_flight) = guarded(vs_wanted, vs.backend, vs.trip, vs.listener)?;
     let (tc_guarded, tc_flight) = guarded(tc_wanted, tc.backend, tc.trip, tc.listener)?;
     let pair = ((vs_guarded, setup.rig.arms.vs.coupled()), (tc_guarded, setup.rig.arms.tc.coupled()));
@@ -170,14 +146,7 @@ pub(super) fn wire_arms_to(
         monitors: monitors.into_iter().filter_map(|(name, monitor)| Some((name, monitor?))).collect(),
         standing: [(vs_name, &vs.emulated), (tc_name, &tc.emulated)].into_iter().filter_map(standing_arm).collect(),
         emulated: [vs.emulated, tc.emulated].into_iter().flatten().filter_map(Emulation::into_server).collect(),
-        on_bus,
     })
-}
-
-fn arm_on_bus((name, arm, wired): (&'static str, &ArmSetup, &WiredBackend)) -> Option<ArmOnBus> {
-    let ArmLink::Bus(BusLinkConfig { brake_time, .. }) = arm.link else { return None };
-    let order = BusStop { monitor: wired.monitor.clone()?, trip: wired.trip.clone()? };
-    Some(ArmOnBus { name, order: Box::new(order), brake_time })
 }
 
 /// Wires one arm alone, without the other one, for commissioning. From the inside out: backend, recorder, guard, limiter.
@@ -350,7 +319,6 @@ pub(super) fn line(wanted: Wanted<'_>) -> Result<Option<(Line<'_>, Option<ArmAnd
             (Line::Gateway(link, Box::new(KeyedTcp { tcp: *tcp, key, arm: link.arm })), None)
         }
         ArmLink::Gateway(link, GatewayWay::Local(socket)) => (Line::Gateway(link, Box::new(socket.clone())), None),
-        ArmLink::Bus(link) => (Line::Bus(link), None),
     }))
 }
 
@@ -447,8 +415,7 @@ fn emulated_parts(
 
 /// The port of an emulated arm, for any terminal.
 fn emulated_port(link: &GatewayLinkConfig, server: &MockServer) -> MockPort {
-    let (dialect, format, cycle) = (link.dialect, link.format, link.cycle);
-    server.port(SerialConfig { path: server.address(), baud: EMULATED_BAUD, dialect, format, cycle })
+    server.port(SerialConfig { path: server.address(), baud: EMULATED_BAUD, cycle: link.cycle })
 }
 
 /// The link to an arm.
@@ -457,8 +424,6 @@ pub(super) enum Line<'a> {
     Gateway(&'a GatewayLinkConfig, Box<dyn Connector>),
     /// The same in simulated time.
     Virtual(&'a GatewayLinkConfig, VirtualEnd, &'a Arc<VirtualTime>),
-    /// The bus of the servo controller.
-    Bus(&'a BusLinkConfig),
 }
 
 impl Line<'_> {
@@ -467,7 +432,6 @@ impl Line<'_> {
         match self {
             Self::Gateway(_, connector) => connector.target(),
             Self::Virtual(..) => "emulated in simulated time".to_owned(),
-            Self::Bus(link) => link.target.to_string(),
         }
     }
 }
@@ -502,7 +466,7 @@ fn open(line: Line<'_>, seat: TripSeat, wanted: Wanted<'_>) -> Result<Pa10Arm> {
 
 /// Opens the link to an arm and checks the arm; its brakes stay closed.
 pub(super) fn connect(line: Line<'_>, (seat, limits): (TripSeat, LimitsCheck), wanted: Wanted<'_>) -> Result<Pa10Arm> {
-    let Wanted { name, arm, control_period, clock, .. } = wanted;
+    let Wanted { name, arm, control_period: _, clock, .. } = wanted;
     let driver = |cycle| DriverConfig {
         limits,
         deceleration_rad_per_s2: *arm.limits.acceleration_max_rad_per_s2(),
@@ -521,30 +485,5 @@ pub(super) fn connect(line: Line<'_>, (seat, limits): (TripSeat, LimitsCheck), w
             }
             opened
         }
-        Line::Bus(link) => {
-            let config = BusArmConfig {
-                name: name.to_owned(),
-                arm: link.arm,
-                driver: on_bus(driver(link.cycle), link),
-                exchange_cycle: control_period,
-                format: link.format,
-                modulus: link.modulus,
-                target: link.target.clone(),
-                realtime: REALTIME,
-            };
-            gateway_check::bus_doubts(link).for_each(|doubt| tracing::warn!("{name}: {doubt}"));
-            Pa10Arm::open_on_bus(config, clock, seat)?
-        }
     })
-}
-
-/// Adds the arm properties that a gateway would supply.
-fn on_bus(driver: DriverConfig, link: &BusLinkConfig) -> DriverConfig {
-    DriverConfig {
-        brake_time: link.brake_time,
-        activity_timeout: driver.activity_timeout + link.brake_time * 2,
-        supervision: link.supervision,
-        signals: link.signals,
-        ..driver
-    }
 }

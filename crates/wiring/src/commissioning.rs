@@ -45,10 +45,7 @@ fn wanted<'a>(setup: &'a Setup, choice: ArmChoice, clock: &'a Arc<dyn Clock>) ->
 pub fn see(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Clock>) -> Result<ObservedArm> {
     let wanted = wanted(setup, choice, clock);
     let Some((line, emulated)) = line(wanted)? else {
-        bail!(
-            "{}.backend = \"mock\" has no link to an arm; set emulated, serial, tcp, local or arcnet",
-            choice.of(setup).key
-        )
+        bail!("{}.backend = \"mock\" has no link to an arm; set emulated, serial, tcp or local", choice.of(setup).key)
     };
     let (target, emulated) = (line.target(), emulated.and_then(|(emulation, _)| emulation.into_server()));
     let arm = connect(line, (alone()?, LimitsCheck::Read), wanted)?;
@@ -114,7 +111,7 @@ fn is_absent(error: &anyhow::Error, link: &ArmLink) -> bool {
 
 /// Whether the controller's answers have another length than the configured wire format; the length identifies the format.
 pub fn is_of_another_format(trip: &Trip) -> bool {
-    matches!(trip, Trip::Fault(FaultCause::Gateway(StopCause::ReplyUnusable) | FaultCause::ReplyFormat { .. }))
+    matches!(trip, Trip::Fault(FaultCause::Gateway(StopCause::ReplyUnusable)))
 }
 
 /// An arm that may move slowly.
@@ -182,9 +179,8 @@ pub fn wire_slow(setup: &Setup, choice: ArmChoice, beside_other: bool, clock: &A
         ArmChoice::Tc => ((tc, tc_flight), (vs, vs_flight)),
     };
     let monitor = monitor_of(choice);
-    let monitor = Some(
-        monitor.context("an arm with backend = \"mock\" has no link; set emulated, serial, tcp, local or arcnet")?,
-    );
+    let monitor =
+        Some(monitor.context("an arm with backend = \"mock\" has no link; set emulated, serial, tcp or local")?);
     let other = OtherArm { driven: other, monitor: monitor_of(choice.other()), flight: other_flight };
     Ok(SlowArm { driven, monitor, flight, other: Some(other), emulated })
 }

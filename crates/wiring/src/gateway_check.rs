@@ -4,7 +4,6 @@ use std::time::Duration;
 
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{Geometry, HelloReply};
-use pb3dp_setup::setup::BusLinkConfig;
 
 /// Logs which gateway and arm answered, and warns of properties that cannot be compared.
 pub(super) fn tell(name: &str, configured: Geometry, hello: &HelloReply) {
@@ -16,10 +15,9 @@ pub(super) fn tell(name: &str, configured: Geometry, hello: &HelloReply) {
         us => format!("{} ms", ms(us)),
     };
     tracing::info!(
-        "{name}: gateway {:?}, {}, {format}, geometry {}, {}; slower after {} ms without a command, stopped after {} ms, the \
+        "{name}: gateway {:?}, {format}, geometry {}, {}; slower after {} ms without a command, stopped after {} ms, the \
          controller's watchdog {controller}, brakes {} ms",
         hello.firmware.as_str(),
-        hello.dialect,
         hello.geometry,
         hello.state,
         ms(hello.ramp_after_us),
@@ -60,17 +58,4 @@ pub fn geometry_doubt(configured: Geometry, reported: Geometry) -> Option<&'stat
         ),
         _ => None,
     }
-}
-
-/// Unknown properties of an arm on a bus of this computer, which has no gateway to report them.
-pub fn bus_doubts(link: &BusLinkConfig) -> impl Iterator<Item = &'static str> {
-    let time_out = link.controller_time_out.is_none().then_some(
-        "the time-out of the controller is unknown (bus.controller_time_out_millis = 0): if this program is killed, the arm may \
-         continue with its last speeds; measure the time-out on the rig, or use a gateway",
-    );
-    let geometry = (link.geometry == Geometry::Unknown).then_some(
-        "the arm geometry is not set in the configuration, so the lengths of the robot description are not checked: measure \
-         the arm, then set bus.geometry",
-    );
-    time_out.into_iter().chain(geometry)
 }

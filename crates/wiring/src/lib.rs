@@ -44,7 +44,7 @@ use self::camera_controls::{BareCameras, ControlService};
 use self::simulated::wire_sight;
 use self::simulated_arms::SimulatedArm;
 pub use flights::{line_facts, raw_lines, write_flights};
-pub use gateway_check::{bus_doubts, geometry_doubt, watchdog_refusal};
+pub use gateway_check::{geometry_doubt, watchdog_refusal};
 pub use key_files::check_key_files;
 pub use nominal_calibration::{MOCK_ARM, accept_nominal};
 
@@ -240,7 +240,7 @@ fn wire_cell_with(
         Some(time) => Arc::clone(time) as Arc<dyn Clock>,
         None => Arc::new(SystemClock::new()),
     };
-    let WiredArms { sites: [vs_site, tc_site], driven: [vs, tc], flights, monitors, emulated, standing, on_bus } =
+    let WiredArms { sites: [vs_site, tc_site], driven: [vs, tc], flights, monitors, emulated, standing } =
         wire_arms_to(setup, &clock, time.as_ref(), &world.arms)?;
     let mut cell = SimulatedCell::of(setup, [vs_site, tc_site]);
     // Planning uses the setup; the simulation uses the true poses.
@@ -277,7 +277,6 @@ fn wire_cell_with(
         marking,
         links: monitors.iter().map(|(name, monitor)| (*name, link_of(monitor, setup.control_period))).collect(),
         emulated: emulated.into_iter().map(|server| Box::new(EmulatedServer(server)) as Box<dyn EmulatedArm>).collect(),
-        on_bus,
         operator: Box::new(ByCommand),
         spectators: Vec::new(),
         pushed: None,

@@ -217,7 +217,10 @@ fn the_documentation_names_tests_that_exist() {
             "arm-pa10/tests",
             "arm-pa10/tests/real_time",
             "arm-pa10/tests/alone",
+            "arm-pa10-emulation/tests",
+            "arm-pa10-emulation/tests/real_time",
             "arm-pa10-gateway/tests",
+            "arm-pa10-gateway/tests/real_time",
             "middleware/tests",
         ];
         let paths = folders.map(|folder| hal.join(folder).join(format!("{file}.rs")));

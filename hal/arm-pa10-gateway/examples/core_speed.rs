@@ -11,8 +11,7 @@ use pb3dp_arm_pa10_protocol::codec::{
     ReplyPacket, ServoWord, SpeedCounts, TorqueCounts, WireFormat,
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmId, ArmOperation, Control, Dialect, DriveCommand, DriveMode, Firmware, GatewayState, Hello, HostMessage,
-    MotionLimits,
+    ArmId, ArmOperation, Control, DriveCommand, DriveMode, Firmware, GatewayState, Hello, HostMessage, MotionLimits,
 };
 use pb3dp_geometry::MonotonicTime;
 
@@ -71,11 +70,7 @@ impl Scene {
         for _ in 0..40 {
             self.exchange()?;
         }
-        self.say(&HostMessage::Hello(Hello {
-            dialect: Dialect::GatewayV1,
-            cycle_us: 10_000,
-            limits: MotionLimits::WIDEST,
-        }));
+        self.say(&HostMessage::Hello(Hello { cycle_us: 10_000, limits: MotionLimits::WIDEST }));
         self.say(&HostMessage::Control(Control::Arm(ArmOperation::Start)));
         self.exchange()?;
         for _ in 0..40 {

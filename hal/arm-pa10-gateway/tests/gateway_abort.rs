@@ -5,7 +5,7 @@
 use pb3dp_arm_pa10_gateway::gateway::Gateway;
 use pb3dp_arm_pa10_protocol::codec::{Axis, AxisCommand, ControlMessage, Letter, ServoWord, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmOperation, Control, ControlReply, Dialect, GatewayMessage, GatewayState, HostMessage, RejectReason, StopCause,
+    ArmOperation, Control, ControlReply, GatewayMessage, GatewayState, HostMessage, RejectReason, StopCause,
 };
 use pb3dp_arm_pa10_test_support::gateway_bench::{Bench, config, control, hello, ms, rejected};
 
@@ -104,7 +104,7 @@ fn it_latches_a_gateway_that_begins() {
     let mut bench = Bench::new();
     bench.gateway = Gateway::new(config(WireFormat::BigEndian6x10), bench.now).unwrap();
     bench.run(ms(20));
-    bench.ask(hello(Dialect::GatewayV1));
+    bench.ask(hello());
     abort(&mut bench);
     bench.run(ms(400));
     assert_eq!((bench.state(), bench.cause()), (GatewayState::Fault, StopCause::HostFault));

@@ -5,8 +5,7 @@
 use pb3dp_arm_pa10_gateway::gateway::Gateway;
 use pb3dp_arm_pa10_protocol::codec::{Axis, Letter, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmOperation, Control, Dialect, DriveCommand, DriveMode, GatewayMessage, GatewayState, HostMessage, RejectReason,
-    StopCause,
+    ArmOperation, Control, DriveCommand, DriveMode, GatewayMessage, GatewayState, HostMessage, RejectReason, StopCause,
 };
 use pb3dp_arm_pa10_test_support::gateway_bench::{Bench, config, control, hello, ms, rejected};
 
@@ -68,7 +67,7 @@ fn a_gateway_may_start_on_local() {
     assert_eq!(bench.state(), GatewayState::Stopping);
     bench.run(ms(600));
     assert_eq!((bench.state(), bench.cause()), (GatewayState::Fault, StopCause::LocalControl));
-    let GatewayMessage::HelloReply(reply) = bench.ask(hello(Dialect::GatewayV1)) else { panic!("no answer to HELLO") };
+    let GatewayMessage::HelloReply(reply) = bench.ask(hello()) else { panic!("no answer to HELLO") };
     assert_eq!((reply.state, reply.cause), (GatewayState::Fault, StopCause::LocalControl));
     must_be_refused(&mut bench);
 }

@@ -5,13 +5,13 @@
 use std::time::Duration;
 
 use pb3dp_arm_pa10_protocol::codec::{
-    AngleCounts, ArmCommand, AxisCommand, CommWord, ControlMessage, ServoWord, SpeedCounts, Supervision, WireFormat,
+    AngleCounts, AxisCommand, CommWord, ControlMessage, ServoWord, SpeedCounts, WireFormat,
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmOperation, Control, Dialect, DriveMode, GatewayMessage, GatewayState, HostMessage,
+    ArmOperation, Control, DriveMode, GatewayMessage, GatewayState, HostMessage,
 };
 use pb3dp_arm_pa10_test_support::gateway_bench as bench;
-use pb3dp_arm_pa10_test_support::gateway_bench::{Bench, Sent, config, control, hello, ms, raw, raw_command, velocity};
+use pb3dp_arm_pa10_test_support::gateway_bench::{Bench, Sent, config, control, hello, ms, velocity};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
 use proptest::prelude::*;
@@ -23,16 +23,13 @@ const STOP_AFTER: Duration = Duration::from_millis(50);
 #[derive(Clone, Debug)]
 enum Happening {
     Wait(u64),
-    Hello(Dialect),
+    Hello,
     Heartbeat,
     Control(ArmOperation),
     ClearAlarm(usize),
     ReadLimits(usize),
     /// Commands of this mode and speed, this many, every 10 ms.
     Commands(DriveMode, i8, u32),
-    /// A mode and a speed for each axis.
-    Mixed(Vec<(u8, i16)>),
-    Raw(u8, Vec<u8>),
     Bytes(Vec<u8>),
     /// A frame on the bus with these bytes; if `true`, with a valid header of the controller.
     BusFrame(Vec<u8>, bool),
@@ -54,21 +51,17 @@ enum Happening {
 
 fn happening() -> impl Strategy<Value = Happening> {
     use ArmOperation::{Abort, End, Reset, Start, Stop};
-    let dialect = prop_oneof![Just(Dialect::GatewayV1), Just(Dialect::Transparent)];
     let mode = prop_oneof![Just(DriveMode::Off), Just(DriveMode::Braked), Just(DriveMode::Follow)];
-    let mixed = prop::collection::vec((1u8..4, prop_oneof![Just(0i16), -300i16..300]), 7);
     let words = prop_oneof![Just(0u16), Just(0x00E0), Just(0x0110), Just(0x4000), any::<u16>()];
     prop_oneof![
         4 => (0u64..300).prop_map(Happening::Wait),
-        2 => dialect.prop_map(Happening::Hello),
+        2 => Just(Happening::Hello),
         1 => Just(Happening::Heartbeat),
         3 => prop_oneof![Just(Start), Just(End), Just(Stop), Just(Reset), Just(Abort)].prop_map(Happening::Control),
         2 => Just(Happening::Control(Reset)),
         1 => (0usize..7).prop_map(Happening::ClearAlarm),
         1 => (0usize..7).prop_map(Happening::ReadLimits),
         4 => (mode, -3i8..4, 1u32..40).prop_map(|(mode, speed, count)| Happening::Commands(mode, speed, count)),
-        2 => mixed.prop_map(Happening::Mixed),
-        1 => (any::<u8>(), prop::collection::vec(any::<u8>(), 0..50)).prop_map(|(letter, data)| Happening::Raw(letter, data)),
         1 => prop::collection::vec(any::<u8>(), 0..60).prop_map(Happening::Bytes),
         1 => (prop::collection::vec(any::<u8>(), 0..90), any::<bool>())
             .prop_map(|(bytes, sound)| Happening::BusFrame(bytes, sound)),
@@ -121,7 +114,7 @@ impl Watched {
     }
 
     fn tell(&mut self, message: HostMessage) {
-        if matches!(message, HostMessage::Command(_) | HostMessage::Raw(_)) {
+        if matches!(message, HostMessage::Command(_)) {
             self.commanded = self.bench.now;
         }
         let sequence = self.bench.tell(message);
@@ -146,10 +139,9 @@ impl Watched {
     }
 
     fn happen(&mut self, happening: &Happening) {
-        let format = self.bench.controller.format;
         match happening {
             Happening::Wait(millis) => self.run(ms(*millis)),
-            Happening::Hello(dialect) => self.tell(hello(*dialect)),
+            Happening::Hello => self.tell(hello()),
             Happening::Heartbeat => self.tell(HostMessage::Heartbeat),
             Happening::Control(operation) => self.tell(control(*operation)),
             Happening::ClearAlarm(axis) => {
@@ -161,8 +153,6 @@ impl Watched {
             Happening::Commands(mode, speed, count) => {
                 self.commands(*mode, velocity() * f64::from(*speed), *count);
             }
-            Happening::Mixed(axes) => self.tell(raw_command(format, mixed(axes))),
-            Happening::Raw(letter, data) => self.tell(raw(*letter, data)),
             Happening::Bytes(bytes) => self.bench.bytes(bytes),
             Happening::BusFrame(bytes, sound) => {
                 let pointer = 0u8.wrapping_sub(bytes.len() as u8);
@@ -193,11 +183,10 @@ impl Watched {
     fn go_up(&mut self) {
         self.heal();
         self.run(ms(450));
-        self.tell(hello(self.bench.gateway.status().host.unwrap_or(Dialect::GatewayV1)));
+        self.tell(hello());
         self.tell(control(ArmOperation::Reset));
         self.run(ms(60));
-        let transparent = self.bench.gateway.status().host == Some(Dialect::Transparent);
-        self.tell(if transparent { raw(b'S', &[]) } else { control(ArmOperation::Start) });
+        self.tell(control(ArmOperation::Start));
         self.run(ms(20));
         self.commands(DriveMode::Follow, JointVector::zeros(), 22);
         self.commands(DriveMode::Follow, velocity(), 3);
@@ -285,18 +274,6 @@ impl Watched {
         }
         assert_eq!(self.bench.gateway.status().answers_dropped, 0);
     }
-}
-
-fn mixed(axes: &[(u8, i16)]) -> ArmCommand {
-    let mut command = ArmCommand::uniform(AxisCommand::Off, Supervision::default());
-    for (axis, (mode, speed)) in command.axes.iter_mut().zip(axes) {
-        *axis = match mode {
-            1 => AxisCommand::Off,
-            2 => AxisCommand::Speed(SpeedCounts(*speed)),
-            _ => AxisCommand::Braked,
-        };
-    }
-    command
 }
 
 proptest! {

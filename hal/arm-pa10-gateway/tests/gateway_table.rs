@@ -3,12 +3,12 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 use pb3dp_arm_pa10_gateway::gateway::table::{GatewayAction, HostRequest, action};
-use pb3dp_arm_pa10_protocol::codec::{Axis, ControlMessage, WireFormat};
+use pb3dp_arm_pa10_protocol::codec::{Axis, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmId, ArmOperation, Control, ControlReply, Dialect, DriveMode, Frame, GatewayMessage, GatewayState, HostMessage,
-    Payload, RejectReason, State, StopCause,
+    ArmId, ArmOperation, Control, ControlReply, DriveMode, Frame, GatewayMessage, GatewayState, Hello, HostMessage,
+    MotionLimits, Payload, RejectReason,
 };
-use pb3dp_arm_pa10_test_support::gateway_bench::{ARM, Bench, config, control, hello, ms, raw, rejected, velocity};
+use pb3dp_arm_pa10_test_support::gateway_bench::{ARM, Bench, config, control, hello, ms, rejected, velocity};
 use pb3dp_kinematics::JointVector;
 
 const SPECIFICATION: &str = include_str!("../../../docs/arm-protocol.md");
@@ -92,8 +92,8 @@ fn commands() -> [(DriveMode, JointVector); 4] {
     [(DriveMode::Off, rest), (DriveMode::Braked, rest), (DriveMode::Follow, rest), (DriveMode::Follow, velocity())]
 }
 
-fn bench(dialect: Dialect, format: WireFormat, state: GatewayState) -> Bench {
-    let mut bench = Bench::greeted(config(format), dialect);
+fn bench(format: WireFormat, state: GatewayState) -> Bench {
+    let mut bench = Bench::greeted(config(format));
     if format == WireFormat::LittleEndian5x8 && matches!(state, GatewayState::Fault | GatewayState::EmergencyStop) {
         // Format A has no alarms.
         bench.lead_to(GatewayState::Moving);
@@ -105,41 +105,26 @@ fn bench(dialect: Dialect, format: WireFormat, state: GatewayState) -> Bench {
     bench
 }
 
-/// Both dialects, and both formats in the dialect that shows them.
-const KINDS: [(Dialect, WireFormat); 3] = [
-    (Dialect::GatewayV1, WireFormat::BigEndian6x10),
-    (Dialect::Transparent, WireFormat::BigEndian6x10),
-    (Dialect::Transparent, WireFormat::LittleEndian5x8),
-];
-
 #[test]
 fn every_command_in_every_state_is_answered_as_the_document_says() {
-    for (dialect, format) in KINDS {
+    for format in WireFormat::ALL {
         for state in STATES {
             let expected = of_commands(&row(state)[0]);
             for ((mode, speeds), expected) in commands().into_iter().zip(expected) {
-                let mut bench = bench(dialect, format, state);
+                let mut bench = bench(format, state);
                 let before = bench.state();
                 let asked = bench.command(mode, speeds);
                 let answer = bench.ask(asked);
-                let what = format!("{dialect}, {format}, {state}, {mode} {}: {answer:?}", speeds[0]);
-                let transparent = dialect == Dialect::Transparent;
+                let what = format!("{format}, {state}, {mode} {}: {answer:?}", speeds[0]);
                 match expected {
-                    // In RAW a message that is only shown is refused.
-                    Expected::Show if transparent => {
-                        assert_eq!(rejected(answer), (RejectReason::WrongState, before.code().into()), "{what}");
-                    }
                     Expected::Show => {
                         let GatewayMessage::State(shown) = answer else { panic!("{what}") };
                         assert_eq!((shown.gateway, bench.state()), (before, before), "{what}");
                     }
                     Expected::Follow(next) => {
                         assert_eq!(bench.state(), next, "{what}");
-                        match answer {
-                            GatewayMessage::State(State { gateway, .. }) => assert_eq!(gateway, next, "{what}"),
-                            GatewayMessage::RawReply(raw) => assert_eq!(raw.letter, b'C', "{what}"),
-                            _ => panic!("{what}"),
-                        }
+                        let GatewayMessage::State(shown) = answer else { panic!("{what}") };
+                        assert_eq!(shown.gateway, next, "{what}");
                     }
                     _ => {
                         assert_eq!(rejected(answer), (RejectReason::WrongState, before.code().into()), "{what}");
@@ -166,7 +151,7 @@ fn every_operation_in_every_state_is_answered_as_the_document_says() {
     ];
     for state in STATES {
         for (column, operation, letter) in operations {
-            let mut bench = bench(Dialect::GatewayV1, WireFormat::BigEndian6x10, state);
+            let mut bench = bench(WireFormat::BigEndian6x10, state);
             let answer = bench.ask(HostMessage::Control(operation));
             let what = format!("{state}, {operation:?}: {answer:?}");
             let letters = bench.letters();
@@ -194,77 +179,6 @@ fn every_operation_in_every_state_is_answered_as_the_document_says() {
                 other => panic!("{other:?}"),
             }
         }
-    }
-}
-
-/// The same with the letters of the dialect `transparent`.
-#[test]
-fn every_letter_in_every_state_is_answered_as_the_document_says() {
-    let axis = Axis::ALL[4];
-    for format in WireFormat::ALL {
-        let data = |message: ControlMessage| message.encode_data(format).unwrap();
-        let letters = [
-            (1, ControlMessage::Start, ""),
-            (2, ControlMessage::End, ""),
-            (3, ControlMessage::ClearAlarm(axis), "A"),
-            (3, ControlMessage::ReadEeprom(axis), "R"),
-        ];
-        for state in STATES {
-            for (column, message, letter) in letters {
-                let mut bench = bench(Dialect::Transparent, format, state);
-                let before = bench.state();
-                let byte = message.letter().byte();
-                let answer = bench.ask(raw(byte, &data(message)));
-                let what = format!("{format}, {state}, {}: {answer:?}", char::from(byte));
-                match of_operation(&row(state)[column], state, letter) {
-                    Expected::WrongState => {
-                        assert_eq!(rejected(answer), (RejectReason::WrongState, before.code().into()), "{what}");
-                        assert_eq!(bench.state(), before, "{what}");
-                    }
-                    Expected::Done(next, expected) => {
-                        let next = if state == next { before } else { next };
-                        assert_eq!(bench.state(), next, "{what}");
-                        let GatewayMessage::RawReply(reply) = answer else { panic!("{what}") };
-                        assert_eq!(reply.letter, byte, "{what}");
-                        let is_table = byte == b'R';
-                        assert_eq!(reply.data.len(), if is_table { 66 } else { 0 }, "{what}");
-                        let besides = bench.letters().replace('C', "");
-                        assert_eq!(besides, expected, "{what}");
-                    }
-                    other => panic!("{other:?}"),
-                }
-            }
-        }
-    }
-}
-
-#[test]
-fn stop_reset_and_abort_exist_in_both_dialects_and_the_rest_in_its_own() {
-    for state in STATES {
-        for (column, operation) in [(4, ArmOperation::Stop), (5, ArmOperation::Reset), (6, ArmOperation::Abort)] {
-            let mut bench = bench(Dialect::Transparent, WireFormat::BigEndian6x10, state);
-            let answer = bench.ask(control(operation));
-            match of_operation(&row(state)[column], state, "") {
-                Expected::WrongState => assert_eq!(rejected(answer).0, RejectReason::WrongState),
-                _ => assert!(matches!(answer, GatewayMessage::ControlReply(_)), "{state}, {operation:?}: {answer:?}"),
-            }
-        }
-        for operation in [
-            Control::Arm(ArmOperation::Start),
-            Control::Arm(ArmOperation::End),
-            Control::ClearAlarm(Axis::ALL[0]),
-            Control::ReadEeprom(Axis::ALL[0]),
-        ] {
-            let mut bench = bench(Dialect::Transparent, WireFormat::BigEndian6x10, state);
-            let answer = bench.ask(HostMessage::Control(operation));
-            assert_eq!(rejected(answer), (RejectReason::WrongDialect, 1), "{state}, {operation:?}");
-        }
-        let mut bench = bench(Dialect::GatewayV1, WireFormat::BigEndian6x10, state);
-        assert_eq!(rejected(bench.ask(raw(b'S', &[]))), (RejectReason::WrongDialect, 2), "{state}");
-        let mut bench = self::bench(Dialect::Transparent, WireFormat::BigEndian6x10, state);
-        let command =
-            HostMessage::Command(pb3dp_arm_pa10_protocol::gateway_protocol::DriveCommand::at_rest(DriveMode::Off));
-        assert_eq!(rejected(bench.ask(command)), (RejectReason::WrongDialect, 1), "{state}");
     }
 }
 
@@ -305,20 +219,22 @@ fn the_table_of_the_code_is_that_of_the_document() {
 #[test]
 fn hello_and_heartbeat_are_answered_in_every_state_and_change_none() {
     for state in STATES {
-        let mut bench = bench(Dialect::GatewayV1, WireFormat::BigEndian6x10, state);
+        let mut bench = bench(WireFormat::BigEndian6x10, state);
         let GatewayMessage::Health(health) = bench.ask(HostMessage::Heartbeat) else { panic!("{state}") };
         assert_eq!((health.state, health.cause), (state, bench.cause()));
-        let GatewayMessage::HelloReply(reply) = bench.ask(hello(Dialect::GatewayV1)) else { panic!("{state}") };
-        assert_eq!((reply.state, reply.cause, reply.dialect), (state, bench.cause(), Dialect::GatewayV1));
+        let GatewayMessage::HelloReply(reply) = bench.ask(hello()) else { panic!("{state}") };
+        assert_eq!((reply.state, reply.cause), (state, bench.cause()));
         // Detected from the replies to the stop order at the start.
         assert_eq!(reply.wire_format, Some(WireFormat::BigEndian6x10), "{state}");
         assert_eq!(bench.state(), state);
-        let answer = bench.ask(hello(Dialect::Transparent));
+        // With open brakes a host keeps its limits.
+        let mut limits = MotionLimits::WIDEST;
+        limits.axes[3].speed -= 1;
+        let answer = bench.ask(HostMessage::Hello(Hello { cycle_us: 10_000, limits }));
         if matches!(state, GatewayState::Holding | GatewayState::Moving | GatewayState::Stopping) {
             assert_eq!(rejected(answer), (RejectReason::WrongState, state.code().into()));
-            assert_eq!(bench.gateway.status().host, Some(Dialect::GatewayV1));
         } else {
-            assert!(matches!(answer, GatewayMessage::HelloReply(reply) if reply.dialect == Dialect::Transparent));
+            assert!(matches!(answer, GatewayMessage::HelloReply(_)), "{answer:?}");
         }
         assert_eq!(bench.state(), state);
     }
@@ -328,7 +244,7 @@ fn hello_and_heartbeat_are_answered_in_every_state_and_change_none() {
 fn before_the_first_hello_everything_else_is_refused() {
     let mut bench = Bench::silent(config(WireFormat::BigEndian6x10));
     let follow = bench.command(DriveMode::Off, JointVector::zeros());
-    for message in [HostMessage::Heartbeat, control(ArmOperation::Start), raw(b'S', &[]), follow] {
+    for message in [HostMessage::Heartbeat, control(ArmOperation::Start), follow] {
         assert_eq!(rejected(bench.ask(message)), (RejectReason::NotConnected, 0), "{message:?}");
     }
     bench.run(ms(20));
@@ -339,7 +255,7 @@ fn before_the_first_hello_everything_else_is_refused() {
 #[test]
 fn every_kind_of_bad_frame_is_refused_with_its_reason_and_detail_and_changes_nothing() {
     for state in STATES {
-        let mut bench = bench(Dialect::GatewayV1, WireFormat::BigEndian6x10, state);
+        let mut bench = bench(WireFormat::BigEndian6x10, state);
         let good = bench.frame_of(&HostMessage::Heartbeat);
         let payload = |bytes: &[u8]| Payload::from_slice(bytes).unwrap();
         let with = |frame_type: u8, bytes: &[u8]| Frame { frame_type, payload: payload(bytes), ..good };
@@ -350,6 +266,7 @@ fn every_kind_of_bad_frame_is_refused_with_its_reason_and_detail_and_changes_not
         fast[1..5].copy_from_slice(&6_553_700i32.to_le_bytes());
         for (frame, expected) in [
             (Frame { arm: ArmId(9), ..good }, (RejectReason::WrongArm, 9)),
+            (with(0x05, b"S"), (RejectReason::UnknownType, 0)),
             (with(0x06, &[]), (RejectReason::UnknownType, 0)),
             (with(0x84, &[]), (RejectReason::UnknownType, 0)),
             (with(0x04, &[0]), (RejectReason::WrongLength, 0)),
@@ -364,6 +281,7 @@ fn every_kind_of_bad_frame_is_refused_with_its_reason_and_detail_and_changes_not
             (with(0x02, &command), (RejectReason::BadValue, 0)),
             (with(0x02, &fast), (RejectReason::BadValue, 0)),
             (with(0x01, &[2, 0x10, 0x27, 0, 0]), (RejectReason::WrongLength, 76)),
+            (with(0x01, &[1; 76]), (RejectReason::BadValue, 0)),
             (with(0x01, &[3; 76]), (RejectReason::BadValue, 0)),
             (with(0x01, &[2; 76]), (RejectReason::BadValue, 0)),
         ] {
@@ -379,32 +297,4 @@ fn every_kind_of_bad_frame_is_refused_with_its_reason_and_detail_and_changes_not
         assert_eq!(rejected(bench.ask_frame(&repeated)), (RejectReason::Stale, 0), "{state}");
         assert_eq!(bench.state(), state);
     }
-}
-
-#[test]
-fn forbidden_letters_and_bad_data_are_refused_in_transparent() {
-    let mut bench = bench(Dialect::Transparent, WireFormat::LittleEndian5x8, GatewayState::Holding);
-    bench.sent.clear();
-    let mut neither = [0u8; 35];
-    neither.chunks_exact_mut(5).for_each(|axis| axis[0] = 1);
-    neither[0] = 0;
-    let mut torque = neither;
-    (torque[0], torque[1]) = (2, 1);
-    for letter in *b"MWPTXcs\0" {
-        assert_eq!(rejected(bench.ask(raw(letter, &[0, 0]))), (RejectReason::ForbiddenLetter, letter.into()));
-    }
-    for (letter, data, expected) in [
-        (b'C', &[1u8; 34][..], (RejectReason::WrongLength, 36)),
-        (b'C', &neither, (RejectReason::BadValue, 0)),
-        (b'C', &torque, (RejectReason::BadValue, 0)),
-        (b'S', &[1], (RejectReason::WrongLength, 1)),
-        (b'A', &[0, 8], (RejectReason::BadValue, 0)),
-        (b'R', &[5, 0], (RejectReason::BadValue, 0)),
-        (b'R', &[1], (RejectReason::WrongLength, 3)),
-    ] {
-        assert_eq!(rejected(bench.ask(raw(letter, data))), expected, "{letter} {data:?}");
-    }
-    assert_eq!(bench.state(), GatewayState::Holding);
-    assert!(bench.letters().chars().all(|letter| letter == 'C'), "{}", bench.letters());
-    assert_eq!(bench.cause(), StopCause::None);
 }

@@ -8,7 +8,7 @@ use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig, GatewayConfigError
 use pb3dp_arm_pa10_protocol::codec::{AxisCommand, ControlMessage, Letter, SpeedCounts, WireFormat};
 use pb3dp_arm_pa10_protocol::codec::{Signal, SignalSource};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmOperation, Dialect, DriveMode, FaultReport, GatewayMessage, GatewayState, HostMessage, RejectReason, StopCause,
+    ArmOperation, DriveMode, FaultReport, GatewayMessage, GatewayState, HostMessage, RejectReason, StopCause,
 };
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 use pb3dp_arm_pa10_test_support::gateway_bench as bench;
@@ -21,7 +21,7 @@ use pb3dp_kinematics::JointVector;
 /// Moving at the given speeds.
 fn moving() -> Bench {
     let plain = GatewayConfig { interpolates: false, ..config(WireFormat::BigEndian6x10) };
-    let mut bench = Bench::greeted(plain, Dialect::GatewayV1);
+    let mut bench = Bench::greeted(plain);
     bench.lead_to(GatewayState::Moving);
     bench
 }
@@ -240,7 +240,7 @@ fn cycles_keep_their_phase() {
 #[test]
 fn after_missed_cycles_the_next_one_comes_one_cycle_later() {
     let tolerant = GatewayConfig { lateness_allowed: ms(40), ..config(WireFormat::BigEndian6x10) };
-    let mut bench = Bench::greeted(tolerant, Dialect::GatewayV1);
+    let mut bench = Bench::greeted(tolerant);
     bench.lead_to(GatewayState::Moving);
     bench.now = bench.gateway.next_deadline() + ms(15);
     let from = bench.sent.len();
@@ -274,7 +274,7 @@ fn a_cycle_that_begins_one_cycle_late_stops_the_arm() {
     assert_eq!(bench.state(), GatewayState::Idle);
     // A machine without real time may be configured with a higher tolerance.
     let tolerant = GatewayConfig { lateness_allowed: ms(40), ..config(WireFormat::BigEndian6x10) };
-    let mut bench = Bench::greeted(tolerant, Dialect::GatewayV1);
+    let mut bench = Bench::greeted(tolerant);
     bench.lead_to(GatewayState::Moving);
     bench.now = bench.gateway.next_deadline() + ms(15);
     bench.tick();
@@ -395,7 +395,7 @@ fn another_host_has_another_clock() {
         bench.gateway.handle_host_gone(bench.now);
         bench.run(ms(20));
         (bench.host_clock_us, bench.sequence) = (clock_us, 5);
-        assert!(matches!(bench.ask(hello(Dialect::GatewayV1)), GatewayMessage::HelloReply(_)));
+        assert!(matches!(bench.ask(hello()), GatewayMessage::HelloReply(_)));
         bench.lead_to(GatewayState::Moving);
     }
 }
@@ -416,7 +416,7 @@ fn a_host_that_is_gone_is_silent_at_once() {
         // No host received the fault, and the next host receives only answers.
         assert_eq!(faults(&bench), []);
         assert_eq!(rejected(bench.ask(control(ArmOperation::Reset))), (RejectReason::NotConnected, 0));
-        let GatewayMessage::HelloReply(reply) = bench.ask(hello(Dialect::Transparent)) else { panic!() };
+        let GatewayMessage::HelloReply(reply) = bench.ask(hello()) else { panic!() };
         assert_eq!((reply.state, reply.cause), (GatewayState::Fault, StopCause::HostSilent));
     }
     let mut bench = Bench::new();
@@ -441,8 +441,7 @@ fn a_host_that_is_gone_is_silent_at_once() {
 fn a_host_that_goes_while_the_brakes_close_does_not_end_the_control_mode_before_they_hold() {
     // The line is lost, with the closing time that every gateway assumes; and silence, with slower brakes.
     for (brake_time, is_gone) in [(ms(200), true), (ms(1500), false)] {
-        let mut bench =
-            Bench::greeted(GatewayConfig { brake_time, ..config(WireFormat::BigEndian6x10) }, Dialect::GatewayV1);
+        let mut bench = Bench::greeted(GatewayConfig { brake_time, ..config(WireFormat::BigEndian6x10) });
         bench.start();
         bench.command_for(DriveMode::Follow, JointVector::zeros(), ms(210));
         bench.ask(bench.command(DriveMode::Braked, JointVector::zeros()));
@@ -509,7 +508,7 @@ fn a_controller_that_is_off_is_no_fault_at_the_start() {
     bench.gateway = Gateway::new(config(WireFormat::BigEndian6x10), bench.now).unwrap();
     bench.controller.answers = false;
     bench.run(ms(190));
-    bench.ask(hello(Dialect::GatewayV1));
+    bench.ask(hello());
     let stopping = (RejectReason::WrongState, u32::from(GatewayState::Stopping.code()));
     assert_eq!(rejected(bench.ask(control(ArmOperation::Start))), stopping);
     bench.run(ms(60));

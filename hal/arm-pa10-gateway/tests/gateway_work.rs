@@ -4,27 +4,21 @@
 
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
 use pb3dp_arm_pa10_protocol::codec::{
-    AngleCounts, ArmCommand, Axis, AxisCommand, COUNTS_PER_TURN, CommAlarm, CommWord, ControlMessage, Letter,
-    ServoAlarm, ServoWord, Signal, SpeedCounts, StatusSignals, Supervision, WireFormat,
+    AngleCounts, Axis, AxisCommand, COUNTS_PER_TURN, CommAlarm, CommWord, ControlMessage, Letter, ServoAlarm,
+    ServoWord, Signal, StatusSignals, WireFormat,
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmOperation, Control, Dialect, DriveMode, FaultReport, GatewayMessage, GatewayState, Health, HostMessage,
-    RejectReason, StopCause,
+    ArmOperation, Control, DriveMode, FaultReport, GatewayMessage, GatewayState, Health, HostMessage, RejectReason,
+    StopCause,
 };
 use pb3dp_arm_pa10_test_support::gateway_bench as bench;
-use pb3dp_arm_pa10_test_support::gateway_bench::{
-    Bench, config, control, hello, ms, raw, raw_command, rejected, velocity,
-};
+use pb3dp_arm_pa10_test_support::gateway_bench::{Bench, config, control, hello, ms, rejected, velocity};
 use pb3dp_kinematics::JointVector;
 
 fn faults(bench: &Bench) -> Vec<FaultReport> {
     let report =
         |message: &GatewayMessage| if let GatewayMessage::Fault(report) = message { Some(*report) } else { None };
     bench.messages.iter().filter_map(|(_, message)| report(message)).collect()
-}
-
-fn transparent(format: WireFormat) -> Bench {
-    Bench::greeted(config(format), Dialect::Transparent)
 }
 
 #[test]
@@ -105,7 +99,7 @@ fn switches_count_as_the_configuration_says() {
         let base_config = config(WireFormat::BigEndian6x10);
         let signals = base_config.signals.with(Signal::EmergencyStop, bits.parse().unwrap());
         let base_config = GatewayConfig { signals, ..base_config };
-        let mut bench = Bench::greeted(base_config, Dialect::GatewayV1);
+        let mut bench = Bench::greeted(base_config);
         bench.start();
         bench.controller.comm = CommWord(0x0009);
         bench.run(ms(5));
@@ -135,74 +129,67 @@ fn an_axis_without_power_stops_the_arm_where_brakes_are_open() {
 /// The servo would not hold the axis when the brake opens; the controller may also report this of the whole arm.
 #[test]
 fn brakes_do_not_open_on_an_arm_that_is_uncontrollable() {
-    for dialect in [Dialect::GatewayV1, Dialect::Transparent] {
-        let refused = (RejectReason::CausePresent, u32::from(StopCause::AxisUncontrollable.code()));
-        let mut bench = Bench::greeted(config(WireFormat::BigEndian6x10), dialect);
-        bench.start();
-        bench.controller.servo[1] = ServoWord(0x8000);
-        bench.run(ms(4));
-        let open = bench.command(DriveMode::Follow, JointVector::zeros());
-        assert_eq!(rejected(bench.ask(open)), refused);
-        assert_eq!((bench.state(), bench.cause()), (GatewayState::Started, StopCause::None));
-        bench.controller.servo[1] = ServoWord(0);
-        bench.controller.comm = CommWord(0x4001);
-        bench.run(ms(4));
-        assert_eq!(rejected(bench.ask(open)), refused);
-        bench.controller.comm = CommWord(1);
-        bench.run(ms(4));
-        bench.ask(open);
-        assert_eq!(bench.state(), GatewayState::Holding);
-        bench.controller.comm = CommWord(0x4001);
-        bench.run(ms(4));
-        assert_eq!((bench.state(), bench.cause()), (GatewayState::Fault, StopCause::AxisUncontrollable));
-        assert_eq!((faults(&bench)[0].axis, faults(&bench)[0].word), (None, 0x4001));
-    }
+    let refused = (RejectReason::CausePresent, u32::from(StopCause::AxisUncontrollable.code()));
+    let mut bench = Bench::greeted(config(WireFormat::BigEndian6x10));
+    bench.start();
+    bench.controller.servo[1] = ServoWord(0x8000);
+    bench.run(ms(4));
+    let open = bench.command(DriveMode::Follow, JointVector::zeros());
+    assert_eq!(rejected(bench.ask(open)), refused);
+    assert_eq!((bench.state(), bench.cause()), (GatewayState::Started, StopCause::None));
+    bench.controller.servo[1] = ServoWord(0);
+    bench.controller.comm = CommWord(0x4001);
+    bench.run(ms(4));
+    assert_eq!(rejected(bench.ask(open)), refused);
+    bench.controller.comm = CommWord(1);
+    bench.run(ms(4));
+    bench.ask(open);
+    assert_eq!(bench.state(), GatewayState::Holding);
+    bench.controller.comm = CommWord(0x4001);
+    bench.run(ms(4));
+    assert_eq!((bench.state(), bench.cause()), (GatewayState::Fault, StopCause::AxisUncontrollable));
+    assert_eq!((faults(&bench)[0].axis, faults(&bench)[0].word), (None, 0x4001));
 }
 
-/// In the dialect `transparent` S is answered before the first measurement.
+/// START is answered by the first measurement: until then no command is followed.
 #[test]
 fn brakes_do_not_open_on_an_arm_that_was_never_measured() {
     for format in WireFormat::ALL {
-        let mut bench = Bench::greeted(config(format), Dialect::Transparent);
-        bench.controller.servo[3] = ServoWord(0x8000);
-        let started = bench.ask(raw(b'S', &[]));
-        assert!(matches!(started, GatewayMessage::RawReply(_)), "{started:?}");
-        let open = bench.command(DriveMode::Follow, JointVector::zeros());
-        assert_eq!(rejected(bench.ask(open)), (RejectReason::NoAnswer, 0));
-        // A measurement from before another S does not count either.
-        bench.controller.servo[3] = ServoWord(0);
-        bench.run(ms(6));
-        bench.ask(open);
-        assert_eq!(bench.state(), GatewayState::Holding);
-        let commanded_open = |sent: &bench::Sent| matches!(sent.message, ControlMessage::Cyclic(command) if matches!(command.axes[3], AxisCommand::Speed(_)));
-        bench.tell(control(ArmOperation::Stop));
-        bench.run(ms(500));
-        bench.sent.clear();
-        bench.controller.servo[3] = ServoWord(0x8000);
-        bench.ask(raw(b'S', &[]));
-        assert_eq!(rejected(bench.ask(open)), (RejectReason::NoAnswer, 0));
-        assert!(!bench.sent.iter().any(commanded_open), "{:?}", bench.sent);
+        let mut bench = Bench::greeted(config(format));
+        // Once after the start of the gateway, and once with a measurement from before.
+        for _ in 0..2 {
+            bench.controller.servo[3] = ServoWord(0x8000);
+            bench.tell(control(ArmOperation::Start));
+            let open = bench.command(DriveMode::Follow, JointVector::zeros());
+            let state = u32::from(bench.state().code());
+            assert_eq!(rejected(bench.ask(open)), (RejectReason::WrongState, state));
+            bench.controller.servo[3] = ServoWord(0);
+            bench.run(ms(6));
+            bench.ask(open);
+            assert_eq!(bench.state(), GatewayState::Holding);
+            bench.tell(control(ArmOperation::Stop));
+            bench.run(ms(500));
+            assert_eq!(bench.state(), GatewayState::Idle);
+        }
     }
 }
 
 #[test]
 fn unknown_status_words_are_passed_on_and_no_brake_opens() {
-    for dialect in [Dialect::GatewayV1, Dialect::Transparent] {
-        let base_config = GatewayConfig { signals: StatusSignals::UNKNOWN, ..config(WireFormat::LittleEndian5x8) };
-        let mut bench = Bench::greeted(base_config, dialect);
-        bench.start();
-        bench.controller.servo[2] = ServoWord(0x0110);
-        bench.controller.comm = CommWord(0xFFFF);
-        bench.run(ms(20));
-        assert_eq!((bench.state(), bench.cause()), (GatewayState::Started, StopCause::None));
-        if let GatewayMessage::State(state) = bench.ask(bench.command(DriveMode::Off, JointVector::zeros())) {
-            assert_eq!((state.axes[2].status, state.comm), (0x0110, 0xFFFF));
-            assert!(!state.has_speeds && !state.has_documented_status);
-        }
-        let open = bench.command(DriveMode::Follow, JointVector::zeros());
-        let refused = (RejectReason::CausePresent, u32::from(StopCause::AxisUncontrollable.code()));
-        assert_eq!(rejected(bench.ask(open)), refused);
+    let base_config = GatewayConfig { signals: StatusSignals::UNKNOWN, ..config(WireFormat::LittleEndian5x8) };
+    let mut bench = Bench::greeted(base_config);
+    bench.start();
+    bench.controller.servo[2] = ServoWord(0x0110);
+    bench.controller.comm = CommWord(0xFFFF);
+    bench.run(ms(20));
+    assert_eq!((bench.state(), bench.cause()), (GatewayState::Started, StopCause::None));
+    if let GatewayMessage::State(state) = bench.ask(bench.command(DriveMode::Off, JointVector::zeros())) {
+        assert_eq!((state.axes[2].status, state.comm), (0x0110, 0xFFFF));
+        assert!(!state.has_speeds && !state.has_documented_status);
     }
+    let open = bench.command(DriveMode::Follow, JointVector::zeros());
+    let refused = (RejectReason::CausePresent, u32::from(StopCause::AxisUncontrollable.code()));
+    assert_eq!(rejected(bench.ask(open)), refused);
 }
 
 #[test]
@@ -213,7 +200,7 @@ fn known_bits_of_format_a_stop_the_arm() {
         (0x0010, 0, StopCause::EmergencyStop, (None, 0x0010)),
         (0x0001, 0x8000, StopCause::AxisUncontrollable, (Some(Axis::ALL[2]), 0x8000)),
     ] {
-        let mut bench = Bench::greeted(config(WireFormat::LittleEndian5x8), Dialect::GatewayV1);
+        let mut bench = Bench::greeted(config(WireFormat::LittleEndian5x8));
         bench.lead_to(GatewayState::Moving);
         (bench.controller.servo[2], bench.controller.comm) = (ServoWord(servo), CommWord(comm));
         bench.run(ms(4));
@@ -229,7 +216,7 @@ fn a_reply_that_makes_no_sense_stops_the_arm() {
     bench.controller.lies_about_format = true;
     bench.run(ms(4));
     assert_eq!((bench.state(), bench.cause()), (GatewayState::Fault, StopCause::ReplyUnusable));
-    let GatewayMessage::HelloReply(reply) = bench.ask(hello(Dialect::GatewayV1)) else { panic!() };
+    let GatewayMessage::HelloReply(reply) = bench.ask(hello()) else { panic!() };
     assert_eq!(reply.wire_format, Some(WireFormat::LittleEndian5x8));
 
     // Two turns are accepted, one count more is not. The angle of the seventh axis is seven times that of the first.
@@ -296,7 +283,7 @@ fn before_the_stop_order_is_done_nothing_is_reset_or_read() {
     let mut bench = Bench::new();
     bench.lead_to(GatewayState::Moving);
     bench.gateway.handle_host_gone(bench.now);
-    bench.ask(hello(Dialect::GatewayV1));
+    bench.ask(hello());
     let axis = Axis::ALL[0];
     for asked in [control(ArmOperation::Reset), HostMessage::Control(Control::ClearAlarm(axis))] {
         assert_eq!(rejected(bench.ask(asked)), (RejectReason::WrongState, GatewayState::Fault.code().into()));
@@ -427,14 +414,6 @@ fn speeds_go_on_a_straight_line_within_one_cycle_of_the_host() {
         let part = (sent.at.saturating_since(stopped_at).as_secs_f64() / 0.010).min(1.0);
         assert!((command.velocity_rad_per_s() - velocity() * part).amax() <= 1.01e-4, "{sent:?}");
     }
-    // In the dialect that forwards data, the speeds are forwarded.
-    let mut bench = transparent(WireFormat::BigEndian6x10);
-    bench.lead_to(GatewayState::Holding);
-    bench.sent.clear();
-    bench.tell(command_of(&bench, velocity()));
-    bench.run(ms(4));
-    let ControlMessage::Cyclic(command) = bench.sent[1].message else { panic!() };
-    assert!((command.velocity_rad_per_s() - velocity()).amax() < 1e-9);
 }
 
 fn command_of(bench: &Bench, velocity: JointVector) -> HostMessage {
@@ -444,7 +423,7 @@ fn command_of(bench: &Bench, velocity: JointVector) -> HostMessage {
 #[test]
 fn speeds_are_rounded_to_the_nearest_count_and_neither_clamped_nor_wrapped() {
     let plain = GatewayConfig { interpolates: false, ..config(WireFormat::LittleEndian5x8) };
-    let mut bench = Bench::greeted(plain, Dialect::GatewayV1);
+    let mut bench = Bench::greeted(plain);
     bench.lead_to(GatewayState::Holding);
     let speeds = [-6.5536, 6.5534, 0.00009, 0.00011, -0.00029, -0.00031, 0.2];
     bench.tell(command_of(&bench, JointVector::from(speeds)));
@@ -455,84 +434,9 @@ fn speeds_are_rounded_to_the_nearest_count_and_neither_clamped_nor_wrapped() {
 }
 
 #[test]
-fn raw_data_goes_through_unchanged_with_the_modes_of_each_axis() {
-    let mut bench = transparent(WireFormat::BigEndian6x10);
-    bench.start();
-    let supervision = Supervision { other_axes: true, dead_man: true };
-    let with = |first: AxisCommand, rest: AxisCommand| {
-        let mut command = ArmCommand::uniform(rest, supervision);
-        command.axes[0] = first;
-        command
-    };
-    let say = |bench: &mut Bench, command: ArmCommand| {
-        let answer = bench.ask(raw_command(WireFormat::BigEndian6x10, command));
-        if !matches!(answer, GatewayMessage::Reject(_)) {
-            let ControlMessage::Cyclic(sent) = bench.sent.last().unwrap().message else { panic!() };
-            assert_eq!(sent, command);
-        }
-        answer
-    };
-    let speed = |counts| AxisCommand::Speed(SpeedCounts(counts));
-    // One brake opens; the others stay on.
-    for _ in 0..60 {
-        let answer = say(&mut bench, with(speed(0), AxisCommand::Braked));
-        let GatewayMessage::RawReply(reply) = answer else { panic!("{answer:?}") };
-        assert_eq!(reply.data.len(), 72);
-        bench.run(ms(4));
-    }
-    assert_eq!(bench.state(), GatewayState::Holding);
-    let wrong = (RejectReason::WrongState, 2);
-    // An axis whose brake was just commanded to open may not move.
-    assert_eq!(rejected(say(&mut bench, with(speed(5), speed(5)))), wrong);
-    assert!(matches!(say(&mut bench, with(speed(5), AxisCommand::Braked)), GatewayMessage::RawReply(_)));
-    assert_eq!(bench.state(), GatewayState::Moving);
-    // In motion no brake opens, and none closes on a moving axis.
-    let wrong = (RejectReason::WrongState, 3);
-    assert_eq!(rejected(say(&mut bench, with(speed(5), speed(0)))), wrong);
-    assert_eq!(rejected(say(&mut bench, with(AxisCommand::Braked, AxisCommand::Braked))), wrong);
-    // The stop order opens no brake either.
-    bench.sent.clear();
-    bench.tell(control(ArmOperation::Stop));
-    bench.run(ms(400));
-    for sent in &bench.sent {
-        let ControlMessage::Cyclic(command) = sent.message else { continue };
-        assert!(command.axes[1..].iter().all(|axis| !matches!(axis, AxisCommand::Speed(_))), "{command:?}");
-    }
-    assert_eq!(bench.state(), GatewayState::Idle);
-}
-
-#[test]
-fn raw_commands_within_one_cycle_share_its_reply() {
-    let mut bench = transparent(WireFormat::LittleEndian5x8);
-    bench.start();
-    let command = bench.command(DriveMode::Off, JointVector::zeros());
-    bench.messages.clear();
-    let base_config = (0..6).map(|_| bench.tell(command)).collect::<Vec<_>>();
-    bench.run(ms(10));
-    let answers = base_config.iter().map(|sequence| {
-        let mut of_it = bench.messages.iter().filter(|(frame, _)| frame.sequence == *sequence);
-        let answer = of_it.next().unwrap().1;
-        assert!(of_it.next().is_none());
-        matches!(answer, GatewayMessage::RawReply(_))
-    });
-    assert_eq!(answers.collect::<Vec<_>>(), [false, false, true, true, true, true]);
-    // A command that the controller does not answer.
-    bench.controller.drop_next = 1;
-    assert_eq!(rejected(bench.ask(command)), (RejectReason::NoAnswer, 0));
-    assert!(matches!(bench.ask(command), GatewayMessage::RawReply(_)));
-}
-
-#[test]
-fn an_eeprom_table_of_another_layout_is_passed_on_in_transparent() {
-    let mut bench = transparent(WireFormat::BigEndian6x10);
-    let GatewayMessage::RawReply(reply) = bench.ask(raw(b'R', &[1, 0])) else { panic!() };
-    assert_eq!((reply.letter, &reply.data[..2], reply.data.len()), (b'R', &[1, 0][..], 66));
-}
-
-#[test]
 fn health_counts_what_happened() {
     let mut bench = Bench::silent(config(WireFormat::BigEndian6x10));
-    assert!(matches!(bench.ask(hello(Dialect::GatewayV1)), GatewayMessage::HelloReply(_)));
+    assert!(matches!(bench.ask(hello()), GatewayMessage::HelloReply(_)));
     bench.lead_to(GatewayState::Moving);
     bench.controller.drop_next = 1;
     bench.run(ms(2));
@@ -574,7 +478,7 @@ fn numbers_of_the_bus_count_up_by_one() {
     use pb3dp_arm_pa10_protocol::codec::SequenceModulus::{Modulo128, Modulo256};
     for (modulus, last) in [(Modulo128, 0x7F), (Modulo256, 0xFF)] {
         let counting = GatewayConfig { modulus, ..config(WireFormat::BigEndian6x10) };
-        let mut bench = Bench::greeted(counting, Dialect::GatewayV1);
+        let mut bench = Bench::greeted(counting);
         bench.lead_to(GatewayState::Fault);
         assert!(bench.sent.len() > 200);
         for pair in bench.sent.windows(2) {

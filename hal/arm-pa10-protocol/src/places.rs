@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use crate::codec::{StatusSignals, WireFormat};
-use crate::gateway_protocol::{ArmId, Dialect, Geometry, HostLimits};
+use crate::gateway_protocol::{ArmId, Geometry, HostLimits};
 
 /// Where a bus is.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -47,8 +47,6 @@ impl std::fmt::Display for BusTarget {
 pub struct GatewayLinkConfig {
     /// The arm at the other end.
     pub arm: ArmId,
-    /// How to speak.
-    pub dialect: Dialect,
     /// The wire format of the arm. A gateway that knows another one is refused.
     pub format: WireFormat,
     /// The geometry of the arm. A gateway with another geometry is refused.

@@ -5,15 +5,15 @@
 use std::collections::BTreeMap;
 
 use pb3dp_arm_pa10_protocol::codec::{
-    AngleCounts, ArmReply, Axis, AxisReply, AxisStatus, ByteBuffer, CommStatus, CommWord, ServoWord, Signal,
-    SpeedCounts, TorqueCounts, TorqueScale, WireFormat, WiredSignals,
+    AngleCounts, ArmReply, Axis, AxisReply, AxisStatus, CommStatus, CommWord, ServoWord, Signal, SpeedCounts,
+    TorqueCounts, TorqueScale, WireFormat, WiredSignals,
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    Agreement, ArmId, ArmOperation, AxisMotion, AxisState, Control, ControlOperation, ControlReply, Dialect,
-    DriveCommand, DriveMode, EepromLimits, FRAME_BYTES_MAX, FaultReport, Firmware, Frame, FrameParser, GatewayMessage,
-    GatewayState, Geometry, Handshake, Health, Hello, HelloReply, Holder, HostMessage, MessageError, MotionLimits,
-    MotionQuantity, Payload, RawMessage, Received, Reject, RejectReason, SharedKey, Side, State, StopCause, check_line,
-    exchange_bytes, exchange_time,
+    Agreement, ArmId, ArmOperation, AxisMotion, AxisState, Control, ControlOperation, ControlReply, DriveCommand,
+    DriveMode, EXCHANGE_BYTES, EepromLimits, FRAME_BYTES_MAX, FaultReport, Firmware, Frame, FrameParser,
+    GatewayMessage, GatewayState, Geometry, Handshake, Health, Hello, HelloReply, Holder, HostMessage, MessageError,
+    MotionLimits, MotionQuantity, Payload, Received, Reject, RejectReason, SharedKey, Side, State, StopCause,
+    check_line, exchange_time,
 };
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 use pb3dp_kinematics::JointVector;
@@ -33,10 +33,6 @@ fn example_frames() -> BTreeMap<String, Vec<u8>> {
     frames
 }
 
-fn raw(letter: u8, data: &[u8]) -> RawMessage {
-    RawMessage { letter, data: ByteBuffer::from_slice(data).unwrap() }
-}
-
 fn control(control: Control) -> HostMessage {
     HostMessage::Control(control)
 }
@@ -45,10 +41,7 @@ fn hello_reply() -> HelloReply {
     let watchdog = CommandWatchdog::default();
     let us = |duration: std::time::Duration| u32::try_from(duration.as_micros()).unwrap();
     HelloReply {
-        has_transparent: true,
-        has_gateway_v1: true,
         wired: WiredSignals::default(),
-        dialect: Dialect::GatewayV1,
         wire_format: Some(WireFormat::BigEndian6x10),
         geometry: Geometry::SecondGeneration,
         state: GatewayState::Idle,
@@ -121,19 +114,13 @@ fn health() -> Health {
 fn host_examples() -> Vec<(&'static str, HostMessage, u16, u64)> {
     let velocity = JointVector::from([0.1, -0.1, 0.0, 0.0, 0.0, 0.0, std::f64::consts::TAU]);
     vec![
-        (
-            "hello",
-            HostMessage::Hello(Hello { dialect: Dialect::GatewayV1, cycle_us: 10_000, limits: limits() }),
-            0,
-            1_500_000,
-        ),
+        ("hello", HostMessage::Hello(Hello { cycle_us: 10_000, limits: limits() }), 0, 1_500_000),
         ("start", control(Control::Arm(ArmOperation::Start)), 1, 1_510_000),
         ("command", HostMessage::Command(DriveCommand::follow(&velocity).unwrap()), 65535, 2_000_000),
         ("abort", control(Control::Arm(ArmOperation::Abort)), 6, 2_400_000),
         ("clear-alarm", control(Control::ClearAlarm(Axis::ALL[6])), 7, 2_500_000),
         ("read-eeprom", control(Control::ReadEeprom(Axis::ALL[0])), 8, 2_510_000),
         ("heartbeat", HostMessage::Heartbeat, 9, 2_750_000),
-        ("raw", HostMessage::Raw(raw(b'C', &[1, 0, 0, 0, 0].repeat(7))), 11, 3_000_000),
     ]
 }
 
@@ -158,7 +145,6 @@ fn gateway_examples() -> Vec<(&'static str, GatewayMessage, u16, u64)> {
         ("reject", GatewayMessage::Reject(reject), 10, 4_296_300_000),
         ("fault", GatewayMessage::Fault(fault), 0, 4_296_400_000),
         ("held", GatewayMessage::Held(Holder { address: [192, 168, 0, 20].into(), port: 50_000 }), 0, 4_297_100_000),
-        ("raw-reply", GatewayMessage::RawReply(raw(b'E', &[])), 12, 4_297_000_000),
     ]
 }
 
@@ -172,15 +158,18 @@ fn parse_one(bytes: &[u8]) -> Frame {
 }
 
 #[test]
-fn a_hello_reply_names_exactly_the_dialects_and_wired_signals_of_the_gateway() {
-    for (has_transparent, has_gateway_v1) in [(false, false), (false, true), (true, false), (true, true)] {
-        for bits in 0..16 {
-            let wired = WiredSignals::from_bits(bits);
-            assert_eq!(Signal::ALL.map(|signal| wired.has(signal)), [1, 2, 4, 8].map(|bit| bits & bit != 0), "{bits}");
-            let sent_message =
-                GatewayMessage::HelloReply(HelloReply { has_transparent, has_gateway_v1, wired, ..hello_reply() });
-            assert_eq!(GatewayMessage::decode(&sent_message.frame(ARM, 7, 1)), Ok(sent_message));
-        }
+fn a_hello_reply_names_exactly_the_wired_signals_of_the_gateway() {
+    for bits in 0..16 {
+        let wired = WiredSignals::from_bits(bits);
+        assert_eq!(Signal::ALL.map(|signal| wired.has(signal)), [1, 2, 4, 8].map(|bit| bits & bit != 0), "{bits}");
+        let sent_message = GatewayMessage::HelloReply(HelloReply { wired, ..hello_reply() });
+        let frame = sent_message.frame(ARM, 7, 1);
+        assert_eq!(GatewayMessage::decode(&frame), Ok(sent_message));
+        // Gateways of earlier versions have one more set of messages.
+        let mut payload = frame.payload.to_vec();
+        payload[0] |= 1;
+        let earlier = Frame { payload: Payload::from_slice(&payload).unwrap(), ..frame };
+        assert_eq!(GatewayMessage::decode(&earlier), Ok(sent_message));
     }
     assert_eq!(WiredSignals::from_bits(0xF5), WiredSignals::from_bits(0x05), "four signals are known");
 }
@@ -236,7 +225,6 @@ fn the_handshake_and_the_records_of_the_specification_are_ours() {
 #[test]
 fn the_numbers_of_the_specification_are_ours() {
     let mut numbers: Vec<(u8, String)> = Vec::new();
-    numbers.extend(Dialect::LISTED.iter().map(|code| (code.code(), code.to_string())));
     numbers.extend(DriveMode::LISTED.iter().map(|code| (code.code(), code.to_string())));
     numbers.extend(ControlOperation::LISTED.iter().map(|code| (code.code(), code.to_string())));
     numbers.extend(GatewayState::LISTED.iter().map(|code| (code.code(), code.to_string())));
@@ -258,50 +246,32 @@ fn the_numbers_of_the_specification_are_ours() {
 
 #[test]
 fn the_lengths_of_the_specification_are_ours() {
-    for (_, message, ..) in host_examples() {
-        if !matches!(message, HostMessage::Raw(_)) {
-            let frame = message.frame(ARM, 0, 0);
-            let (number, length) = (format!("`{:02X}`", frame.frame_type), frame.payload.len().to_string());
-            let found = SPECIFICATION
-                .lines()
-                .any(|l| l.starts_with(&format!("| {number} |")) && l.contains(&format!("| {length} |")));
-            assert!(found, "{number} {length}");
-        }
-    }
-    for (_, message, ..) in gateway_examples() {
-        if !matches!(message, GatewayMessage::RawReply(_)) {
-            let frame = message.frame(ARM, 0, 0);
-            let (number, length) = (format!("`{:02X}`", frame.frame_type), frame.payload.len().to_string());
-            let found = SPECIFICATION
-                .lines()
-                .any(|l| l.starts_with(&format!("| {number} |")) && l.ends_with(&format!("| {length} |")));
-            assert!(found, "{number} {length}");
-        }
+    let of_host = host_examples().into_iter().map(|(_, message, ..)| message.frame(ARM, 0, 0));
+    let of_gateway = gateway_examples().into_iter().map(|(_, message, ..)| message.frame(ARM, 0, 0));
+    for frame in of_host.chain(of_gateway) {
+        let (number, length) = (format!("| `{:02X}` |", frame.frame_type), format!("| {} |", frame.payload.len()));
+        let found = SPECIFICATION.lines().any(|line| line.starts_with(&number) && line.contains(&length));
+        assert!(found, "{number} {length}");
     }
     assert!(SPECIFICATION.contains(&format!("The buffer needs {FRAME_BYTES_MAX} bytes.")));
 }
 
 #[test]
 fn the_times_of_the_specification_are_ours() {
-    let (a, b) = (WireFormat::LittleEndian5x8, WireFormat::BigEndian6x10);
     let command = HostMessage::Command(DriveCommand::at_rest(DriveMode::Off)).frame(ARM, 0, 0).encode().len();
     let answer = GatewayMessage::State(state()).frame(ARM, 0, 0).encode().len();
-    assert_eq!(exchange_bytes(Dialect::GatewayV1, b), command + answer);
-    let [v1, format_a, format_b] = [(Dialect::GatewayV1, b), (Dialect::Transparent, a), (Dialect::Transparent, b)]
-        .map(|(dialect, format)| exchange_bytes(dialect, format));
-    let sentence = format!(
-        "take {v1} bytes in the dialect `gateway-v1`, {format_a} in `transparent` with format A and {format_b} with format B"
-    );
+    assert_eq!(EXCHANGE_BYTES, command + answer);
+    let sentence = format!("A command and its answer take {EXCHANGE_BYTES} bytes");
     assert!(SPECIFICATION.contains(&sentence), "{sentence}");
     for (baud, shortest_ms) in [(115_200, None), (460_800, Some(8)), (921_600, Some(4)), (3_000_000, Some(2))] {
-        let check = |cycle_ms| check_line(Dialect::GatewayV1, b, baud, std::time::Duration::from_millis(cycle_ms));
-        let time_ms = exchange_time(Dialect::GatewayV1, b, baud).as_secs_f64() * 1e3;
+        let check = |cycle_ms| check_line(baud, std::time::Duration::from_millis(cycle_ms));
+        let time_ms = exchange_time(baud).as_secs_f64() * 1e3;
         let shortest = shortest_ms.map_or("none: too slow".to_owned(), |shortest| format!("{shortest} ms"));
         let row = format!("| {baud} | {time_ms:.1} ms | {shortest} |");
         assert!(SPECIFICATION.contains(&row), "{row}");
         assert_eq!(check(shortest_ms.unwrap_or(10)).is_ok(), shortest_ms.is_some(), "{baud}");
     }
-    let refused = check_line(Dialect::GatewayV1, b, 115_200, std::time::Duration::from_millis(10)).unwrap_err();
+    let refused = check_line(115_200, std::time::Duration::from_millis(10)).unwrap_err();
     assert!(refused.to_string().starts_with("115200 baud take 15.19"), "{refused}");
     assert!(
         refused
@@ -309,9 +279,9 @@ fn the_times_of_the_specification_are_ours() {
             .contains("(175 bytes), more than half of a cycle of 10ms, which needs at least 350000 baud"),
         "{refused}"
     );
-    assert!(check_line(Dialect::GatewayV1, b, 350_000, std::time::Duration::from_millis(10)).is_ok());
-    assert!(check_line(Dialect::GatewayV1, b, 349_999, std::time::Duration::from_millis(10)).is_err());
-    assert!(check_line(Dialect::Transparent, a, 0, std::time::Duration::from_millis(10)).is_err());
+    assert!(check_line(350_000, std::time::Duration::from_millis(10)).is_ok());
+    assert!(check_line(349_999, std::time::Duration::from_millis(10)).is_err());
+    assert!(check_line(0, std::time::Duration::from_millis(10)).is_err());
 }
 
 #[test]
@@ -328,14 +298,14 @@ fn frames_that_mean_nothing_are_refused_by_name() {
     let value = |frame_type, field, got| MessageError::Value { frame_type, field, got };
     assert_eq!(host(0x06, &[]), MessageError::Type { got: 6 });
     assert_eq!(host(4, &[0]), MessageError::Length { frame_type: 4, got: 1, expected: 0 });
-    assert_eq!(host(5, &[]), MessageError::Length { frame_type: 5, got: 0, expected: 1 });
-    let hello = HostMessage::Hello(Hello { dialect: Dialect::GatewayV1, cycle_us: 10_000, limits: limits() });
+    assert_eq!(host(5, b"S"), MessageError::Type { got: 5 });
+    let hello = HostMessage::Hello(Hello { cycle_us: 10_000, limits: limits() });
     let hello = |at: usize, bytes: &[u8]| {
         let mut payload = hello.frame(ARM, 0, 0).payload.to_vec();
         payload[at..at + bytes.len()].copy_from_slice(bytes);
         host(1, &payload)
     };
-    assert_eq!(hello(0, &[3]), value(1, "dialect", 3));
+    assert_eq!(hello(0, &[1]), value(1, "set of messages", 1));
     assert_eq!(hello(1, &[0x20, 0x4E]), value(1, "time between two commands", 20_000));
     assert_eq!(hello(5, &[2]), value(1, "version of the limits", 2));
     assert_eq!(hello(6, &[0, 0]), value(1, "speed limit", 0));

@@ -7,7 +7,7 @@ use pb3dp_arm_pa10::arm::{ArmMonitor, ArmOpenError, Pa10Arm, Pa10ArmConfig, Trip
 use pb3dp_arm_pa10::driver::{DriverConfig, DriverState, LimitsCheck, Trip};
 use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Geometry, HostLimits, HostMessage};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Geometry, HostLimits, HostMessage};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, JointCommand};
 use pb3dp_hal_clock::SystemClock;
@@ -27,7 +27,6 @@ pub fn config(arm: u8) -> Pa10ArmConfig {
     let driver = DriverConfig { limits, ..DriverConfig::with_cycle(CYCLE) };
     let link = GatewayLinkConfig {
         arm: ArmId(arm),
-        dialect: Dialect::GatewayV1,
         format: FORMAT,
         geometry: Geometry::SecondGeneration,
         cycle: CYCLE,
@@ -39,7 +38,7 @@ pub fn config(arm: u8) -> Pa10ArmConfig {
 
 pub fn serial(pty: &Pty) -> SerialConfig {
     let path = pty.name().to_owned();
-    SerialConfig { path, baud: 460_800, dialect: Dialect::GatewayV1, format: FORMAT, cycle: CYCLE }
+    SerialConfig { path, baud: 460_800, cycle: CYCLE }
 }
 
 pub fn seat() -> TripSeat {

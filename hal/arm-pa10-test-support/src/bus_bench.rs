@@ -4,7 +4,6 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, Request};
-use pb3dp_arm_pa10::link::BusLink;
 use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, MockController, MockControllerConfig};
 use pb3dp_arm_pa10_protocol::arcnet::{self, Route};
 use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, WireFormat};
@@ -12,6 +11,7 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::{AxisMode, JointPlant};
 
+use crate::bus_link::BusLink;
 pub use crate::plant_config::plant_config;
 
 /// Cycle of the bus.
@@ -135,7 +135,7 @@ impl BusBench {
             }
         }
         while let Some(frame) = self.controller.poll_frame(self.now) {
-            self.link.handle_frame(self.now, &frame, &mut self.driver).ok();
+            self.link.handle_frame(self.now, &frame, &mut self.driver);
         }
         if let Some(transmit) = self.driver.poll_transmit(self.now) {
             let frame = self.link.send(&transmit).unwrap();

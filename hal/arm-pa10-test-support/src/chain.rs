@@ -9,7 +9,7 @@ use pb3dp_arm_pa10::link::{GatewayLink, LinkError};
 use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, MockController, MockControllerConfig};
 use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig};
 use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Firmware, Geometry, HostLimits, MotionLimits};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Firmware, Geometry, HostLimits, MotionLimits};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
@@ -54,13 +54,12 @@ pub struct Chain {
 }
 
 impl Chain {
-    pub fn new(dialect: Dialect, format: WireFormat, watchdog: Option<Duration>, joints: JointPlant) -> Self {
+    pub fn new(format: WireFormat, watchdog: Option<Duration>, joints: JointPlant) -> Self {
         let plant = Arc::new(Mutex::new(joints));
         let controller = MockControllerConfig { watchdog, ..MockControllerConfig::new(format) };
         let firmware = Firmware::new("test gateway 1").unwrap();
         let link = GatewayLinkConfig {
             arm: ARM,
-            dialect,
             format,
             geometry: Geometry::Unknown,
             cycle: HOST_CYCLE,

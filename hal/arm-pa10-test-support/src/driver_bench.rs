@@ -136,17 +136,11 @@ impl Bench {
         Self::with_config(DriverConfig::with_cycle(CYCLE))
     }
 
-    /// With a gateway at the other end.
     pub fn with_config(config: DriverConfig) -> Self {
-        let mut bench = Self::on_bus(config);
-        bench.driver.note_watchdog(config.watchdog.stop_after());
-        bench
-    }
-
-    /// With the controller itself at the other end.
-    pub fn on_bus(config: DriverConfig) -> Self {
+        let mut driver = Driver::new(config).unwrap();
+        driver.note_watchdog(config.watchdog.stop_after());
         Self {
-            driver: Driver::new(config).unwrap(),
+            driver,
             now: MonotonicTime::from_nanos(1_000_000_000),
             peer: Peer::new(),
             sent: Vec::new(),

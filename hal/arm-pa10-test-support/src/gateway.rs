@@ -1,13 +1,13 @@
 //! A gateway as docs/arm-protocol.md describes it, without a watchdog: it answers according to its state table.
 
 use pb3dp_arm_pa10_protocol::codec::{
-    AngleCounts, ArmReply, Axis, AxisReply, AxisStatus, ByteBuffer, CommStatus, CommWord, ControlMessage, EepromAxis,
-    Letter, ReplyMessage, ReplyPacket, ServoWord, SpeedCounts, TorqueCounts, TorqueScale, WireFormat, WiredSignals,
+    AngleCounts, ArmReply, Axis, AxisReply, AxisStatus, CommStatus, CommWord, EepromAxis, ServoWord, SpeedCounts,
+    TorqueCounts, TorqueScale, WireFormat, WiredSignals,
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmId, ArmOperation, Control, ControlReply, Dialect, DriveMode, EepromLimits, Firmware, Frame, FrameParser,
-    GatewayMessage, GatewayState, Geometry, Health, HelloReply, HostMessage, MotionLimits, RawMessage, Received,
-    Reject, RejectReason, State, StopCause,
+    ArmId, ArmOperation, Control, ControlReply, DriveMode, EepromLimits, Firmware, Frame, FrameParser, GatewayMessage,
+    GatewayState, Geometry, Health, HelloReply, HostMessage, MotionLimits, Received, Reject, RejectReason, State,
+    StopCause,
 };
 use pb3dp_kinematics::JointVector;
 
@@ -36,7 +36,7 @@ pub struct FakeGateway {
     pub rejected: Vec<RejectReason>,
     /// Its own clock, µs.
     pub clock_us: u64,
-    dialect: Option<Dialect>,
+    is_greeted: bool,
     parser: FrameParser,
 }
 
@@ -59,7 +59,7 @@ impl FakeGateway {
             messages: Vec::new(),
             rejected: Vec::new(),
             clock_us: 0,
-            dialect: None,
+            is_greeted: false,
             parser: FrameParser::new(arm),
         }
     }
@@ -97,13 +97,15 @@ impl FakeGateway {
     }
 
     fn handle(&mut self, message: &HostMessage) -> Result<GatewayMessage, RejectReason> {
-        if let HostMessage::Hello(hello) = message {
-            self.dialect = Some(hello.dialect);
-            return Ok(GatewayMessage::HelloReply(self.hello_reply(hello.dialect)));
+        if let HostMessage::Hello(_) = message {
+            self.is_greeted = true;
+            return Ok(GatewayMessage::HelloReply(self.hello_reply()));
         }
-        let dialect = self.dialect.ok_or(RejectReason::NotConnected)?;
+        if !self.is_greeted {
+            return Err(RejectReason::NotConnected);
+        }
         match message {
-            HostMessage::Command(command) if dialect == Dialect::GatewayV1 => {
+            HostMessage::Command(command) => {
                 self.command(command.mode, command.velocity_rad_per_s())?;
                 let scale = TorqueScale::of_format(self.format);
                 let mut state = State::from_reply(&self.arm_reply(), &scale, 100).unwrap();
@@ -121,8 +123,7 @@ impl FakeGateway {
                 Ok(GatewayMessage::ControlReply(ControlReply { control: *control, state: self.state }))
             }
             HostMessage::Heartbeat => Ok(GatewayMessage::Health(self.health())),
-            HostMessage::Raw(raw) if dialect == Dialect::Transparent => self.raw(raw),
-            _ => Err(RejectReason::WrongDialect),
+            HostMessage::Hello(_) => Err(RejectReason::UnknownType),
         }
     }
 
@@ -176,37 +177,6 @@ impl FakeGateway {
         Ok(())
     }
 
-    fn raw(&mut self, raw: &RawMessage) -> Result<GatewayMessage, RejectReason> {
-        let letter = Letter::from_byte(raw.letter).map_err(|_| RejectReason::ForbiddenLetter)?;
-        let message =
-            ControlMessage::decode_data(self.format, letter, &raw.data).map_err(|_| RejectReason::BadValue)?;
-        let reply = match message {
-            ControlMessage::Cyclic(command) => {
-                let speeds = command.velocity_rad_per_s();
-                let follows = matches!(command.axes[0], pb3dp_arm_pa10_protocol::codec::AxisCommand::Speed(_));
-                let latched = matches!(self.state, GatewayState::Fault | GatewayState::EmergencyStop);
-                if latched {
-                    return Err(RejectReason::WrongState);
-                }
-                self.command(if follows { DriveMode::Follow } else { DriveMode::Off }, speeds)?;
-                ReplyMessage::Cyclic(self.arm_reply())
-            }
-            ControlMessage::Start => {
-                self.control(Control::Arm(ArmOperation::Start))?;
-                ReplyMessage::Done(letter)
-            }
-            ControlMessage::End => {
-                self.control(Control::Arm(ArmOperation::End))?;
-                ReplyMessage::Done(letter)
-            }
-            ControlMessage::ReadEeprom(axis) => ReplyMessage::Eeprom(plausible_eeprom(axis)),
-            _ => ReplyMessage::Done(letter),
-        };
-        let packet = ReplyPacket { sequence: 0, message: reply }.encode(self.format).unwrap();
-        let data = ByteBuffer::from_slice(&packet[2..]).unwrap();
-        Ok(GatewayMessage::RawReply(RawMessage { letter: raw.letter, data }))
-    }
-
     fn arm_reply(&self) -> ArmReply {
         let documented = self.format == WireFormat::BigEndian6x10;
         let axes = std::array::from_fn(|index| AxisReply {
@@ -219,12 +189,9 @@ impl FakeGateway {
         ArmReply { axes, comm }
     }
 
-    fn hello_reply(&self, dialect: Dialect) -> HelloReply {
+    fn hello_reply(&self) -> HelloReply {
         HelloReply {
-            has_transparent: true,
-            has_gateway_v1: true,
             wired: WiredSignals::default(),
-            dialect,
             wire_format: Some(self.format),
             geometry: Geometry::SecondGeneration,
             state: self.state,

@@ -10,13 +10,12 @@ use std::time::Duration;
 use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig};
 use pb3dp_arm_pa10_protocol::arcnet::{self, Route};
 use pb3dp_arm_pa10_protocol::codec::{
-    AngleCounts, ArmCommand, ArmReply, Axis, AxisCommand, AxisReply, AxisStatus, ByteBuffer, CommStatus, CommWord,
-    ControlMessage, ControlPacket, ReplyMessage, ReplyPacket, ServoWord, SpeedCounts, Supervision, TorqueCounts,
-    WireFormat,
+    AngleCounts, ArmCommand, ArmReply, Axis, AxisCommand, AxisReply, AxisStatus, CommStatus, CommWord, ControlMessage,
+    ControlPacket, ReplyMessage, ReplyPacket, ServoWord, SpeedCounts, Supervision, TorqueCounts, WireFormat,
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmId, ArmOperation, AxisMotionLimits, Control, Dialect, DriveCommand, DriveMode, Firmware, Frame, FrameParser,
-    GatewayMessage, GatewayState, Hello, HostMessage, MotionLimits, PAYLOAD_LENGTH_MAX, Payload, RawMessage, Received,
+    ArmId, ArmOperation, AxisMotionLimits, Control, DriveCommand, DriveMode, Firmware, Frame, FrameParser,
+    GatewayMessage, GatewayState, Hello, HostMessage, MotionLimits, PAYLOAD_LENGTH_MAX, Payload, Received,
 };
 use pb3dp_geometry::MonotonicTime;
 
@@ -124,14 +123,12 @@ impl World {
         match what % 14 {
             0 | 1 => self.run(Duration::from_micros(u64::from(first) * 500)),
             2 => self.say(&HostMessage::Hello(Hello {
-                dialect: if first & 1 == 0 { Dialect::GatewayV1 } else { Dialect::Transparent },
                 cycle_us: 2000 + u32::from(first) * 30,
                 limits: if first & 2 == 0 { self.config.limits } else { MotionLimits::WIDEST },
             })),
             3 | 4 => return self.command(first, rest),
             5 => self.say(&HostMessage::Control(control(first))),
-            6 => return self.raw(first, rest),
-            7 => self.say(&HostMessage::Heartbeat),
+            6 | 7 => self.say(&HostMessage::Heartbeat),
             8 => {
                 let (body, later) = split(rest, usize::from(first));
                 self.tell(body);
@@ -188,30 +185,7 @@ impl World {
                 *to = i32::from(*speed as i8) * 51_000;
             }
         }
-        if self.gateway.status().host == Some(Dialect::Transparent) {
-            let axes = std::array::from_fn(|axis| match mode {
-                DriveMode::Off => AxisCommand::Off,
-                DriveMode::Braked => AxisCommand::Braked,
-                DriveMode::Follow => AxisCommand::Speed(SpeedCounts((command.speed_urad_per_s[axis] / 200) as i16)),
-            });
-            let message = ControlMessage::Cyclic(ArmCommand { axes, supervision: Supervision::default() });
-            let data = message.encode_data(self.config.format).unwrap();
-            self.say(&HostMessage::Raw(RawMessage { letter: b'C', data: ByteBuffer::from_slice(&data).unwrap() }));
-        } else {
-            self.say(&HostMessage::Command(command));
-        }
-        later
-    }
-
-    /// Any letter with any data.
-    fn raw<'a>(&mut self, letter: u8, bytes: &'a [u8]) -> &'a [u8] {
-        let length = match letter {
-            b'C' if self.config.format == WireFormat::BigEndian6x10 => 44,
-            b'C' => 35,
-            _ => usize::from(letter % 4),
-        };
-        let (data, later) = split(bytes, length);
-        self.say(&HostMessage::Raw(RawMessage { letter, data: ByteBuffer::from_slice(data).unwrap() }));
+        self.say(&HostMessage::Command(command));
         later
     }
 
@@ -226,10 +200,10 @@ impl World {
     }
 
     fn tell(&mut self, bytes: &[u8]) {
-        let (speed_max, format) = (&mut self.speed_max, self.config.format);
+        let speed_max = &mut self.speed_max;
         self.host_ear.feed(bytes, |received| {
             let Received::Frame(frame) = received else { return };
-            note_speeds(speed_max, format, &frame);
+            note_speeds(speed_max, &frame);
         });
         self.received_from_host = self.now;
         self.gateway.handle_host_bytes(self.now, bytes);
@@ -372,17 +346,11 @@ fn control(choice: u8) -> Control {
 }
 
 /// Records the speeds of a host command, whether or not the gateway accepts it.
-fn note_speeds(speed_max: &mut [u16; Axis::COUNT], format: WireFormat, frame: &Frame) {
+fn note_speeds(speed_max: &mut [u16; Axis::COUNT], frame: &Frame) {
     let counts = match HostMessage::decode(frame) {
         Ok(HostMessage::Command(command)) => {
             let asked = ArmCommand::velocities(&command.velocity_rad_per_s(), Supervision::default());
             asked.map(|asked| asked.axes.map(|axis| axis.speed().0.unsigned_abs()))
-        }
-        Ok(HostMessage::Raw(raw)) if raw.letter == b'C' => {
-            match ControlMessage::decode_data(format, pb3dp_arm_pa10_protocol::codec::Letter::Cyclic, &raw.data) {
-                Ok(ControlMessage::Cyclic(asked)) => Ok(asked.axes.map(|axis| axis.speed().0.unsigned_abs())),
-                _ => return,
-            }
         }
         _ => return,
     };

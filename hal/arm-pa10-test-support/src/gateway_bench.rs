@@ -5,13 +5,12 @@ use std::time::Duration;
 use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig};
 use pb3dp_arm_pa10_protocol::arcnet::{self, Route};
 use pb3dp_arm_pa10_protocol::codec::{
-    AngleCounts, ArmCommand, ArmReply, AxisCommand, AxisReply, AxisStatus, ByteBuffer, CommStatus, CommWord,
-    ControlMessage, ControlPacket, Letter, Packet, ReplyMessage, ReplyPacket, ServoWord, SpeedCounts, Supervision,
-    TorqueCounts, WireFormat,
+    AngleCounts, ArmReply, AxisReply, AxisStatus, CommStatus, CommWord, ControlMessage, ControlPacket, Letter, Packet,
+    ReplyMessage, ReplyPacket, ServoWord, SpeedCounts, TorqueCounts, WireFormat,
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmId, ArmOperation, Control, Dialect, DriveCommand, DriveMode, Firmware, Frame, FrameParser, GatewayMessage,
-    GatewayState, Hello, HostMessage, MotionLimits, RawMessage, Received, Reject, RejectReason, StopCause,
+    ArmId, ArmOperation, Control, DriveCommand, DriveMode, Firmware, Frame, FrameParser, GatewayMessage, GatewayState,
+    Hello, HostMessage, MotionLimits, Received, Reject, RejectReason, StopCause,
 };
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
@@ -159,15 +158,15 @@ impl Bench {
     }
 
     /// The host has sent HELLO.
-    pub fn greeted(config: GatewayConfig, dialect: Dialect) -> Self {
+    pub fn greeted(config: GatewayConfig) -> Self {
         let mut bench = Self::silent(config);
-        assert!(matches!(bench.ask(hello(dialect)), GatewayMessage::HelloReply(_)));
+        assert!(matches!(bench.ask(hello()), GatewayMessage::HelloReply(_)));
         bench
     }
 
-    /// In the dialect `gateway-v1` with format B.
+    /// With format B.
     pub fn new() -> Self {
-        Self::greeted(config(WireFormat::BigEndian6x10), Dialect::GatewayV1)
+        Self::greeted(config(WireFormat::BigEndian6x10))
     }
 
     /// In this state, after the normal sequence.
@@ -205,8 +204,7 @@ impl Bench {
     }
 
     pub fn start(&mut self) {
-        let transparent = self.gateway.status().host == Some(Dialect::Transparent);
-        let answer = if transparent { self.ask(raw(b'S', &[])) } else { self.ask(control(ArmOperation::Start)) };
+        let answer = self.ask(control(ArmOperation::Start));
         assert!(!matches!(answer, GatewayMessage::Reject(_)), "{answer:?}");
         self.run(ms(4));
         assert_eq!(self.state(), GatewayState::Started);
@@ -233,17 +231,8 @@ impl Bench {
         }
     }
 
-    /// A command in the current dialect.
+    /// A command.
     pub fn command(&self, mode: DriveMode, velocity: JointVector) -> HostMessage {
-        if self.gateway.status().host == Some(Dialect::Transparent) {
-            let supervision = Supervision::default();
-            let command = match mode {
-                DriveMode::Off => ArmCommand::uniform(AxisCommand::Off, supervision),
-                DriveMode::Braked => ArmCommand::uniform(AxisCommand::Braked, supervision),
-                DriveMode::Follow => ArmCommand::velocities(&velocity, supervision).unwrap(),
-            };
-            return raw_command(self.controller.format, command);
-        }
         HostMessage::Command(match mode {
             DriveMode::Follow => DriveCommand::follow(&velocity).unwrap(),
             other => DriveCommand::at_rest(other),
@@ -331,20 +320,12 @@ impl Bench {
     }
 }
 
-pub fn hello(dialect: Dialect) -> HostMessage {
-    HostMessage::Hello(Hello { dialect, cycle_us: 10_000, limits: MotionLimits::WIDEST })
+pub fn hello() -> HostMessage {
+    HostMessage::Hello(Hello { cycle_us: 10_000, limits: MotionLimits::WIDEST })
 }
 
 pub fn control(operation: ArmOperation) -> HostMessage {
     HostMessage::Control(Control::Arm(operation))
-}
-
-pub fn raw(letter: u8, data: &[u8]) -> HostMessage {
-    HostMessage::Raw(RawMessage { letter, data: ByteBuffer::from_slice(data).unwrap() })
-}
-
-pub fn raw_command(format: WireFormat, command: ArmCommand) -> HostMessage {
-    raw(b'C', &ControlMessage::Cyclic(command).encode_data(format).unwrap())
 }
 
 pub fn rejected(answer: GatewayMessage) -> (RejectReason, u32) {

@@ -9,6 +9,7 @@
 
 pub mod arm_rig;
 pub mod bus_bench;
+pub mod bus_link;
 pub mod byte_bus;
 pub mod byte_links;
 pub mod cell_end;

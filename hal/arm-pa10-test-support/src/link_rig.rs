@@ -5,7 +5,7 @@ use std::time::Duration;
 use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, LimitsCheck, Request, Trip};
 use pb3dp_arm_pa10::link::{GatewayLink, LinkError};
 use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Geometry, HostLimits};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Geometry, HostLimits};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
@@ -26,10 +26,9 @@ pub fn velocity() -> JointVector {
     JointVector::from([0.1, -0.2, 0.3, -0.4, 0.5, -0.6, 0.7])
 }
 
-pub fn link_config(dialect: Dialect, format: WireFormat) -> GatewayLinkConfig {
+pub fn link_config(format: WireFormat) -> GatewayLinkConfig {
     GatewayLinkConfig {
         arm: ARM,
-        dialect,
         format,
         geometry: Geometry::SecondGeneration,
         cycle: CYCLE,
@@ -76,8 +75,8 @@ pub struct Rig {
 }
 
 impl Rig {
-    pub fn new(dialect: Dialect, format: WireFormat) -> Self {
-        let config = link_config(dialect, format);
+    pub fn new(format: WireFormat) -> Self {
+        let config = link_config(format);
         let mut rig = Self {
             driver: Driver::new(driver_config()).unwrap(),
             link: GatewayLink::new(config),

@@ -7,15 +7,15 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use pb3dp_arm_pa10::arm::KeyedTcp;
-use pb3dp_arm_pa10::bus::{BusPort, FRAME_ROOM};
 use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, Request};
 use pb3dp_arm_pa10::link::{GatewayLink, LinkError};
 use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, MockController, MockControllerConfig, MockCounters};
+use pb3dp_arm_pa10_gateway::bus::{BusPort, FRAME_ROOM};
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
 use pb3dp_arm_pa10_gateway::service::{Access, HostSide};
 use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmId, AxisMotionLimits, Dialect, Firmware, GatewayState, Geometry, HostLimits, MotionLimits, SharedKey,
+    ArmId, AxisMotionLimits, Firmware, GatewayState, Geometry, HostLimits, MotionLimits, SharedKey,
 };
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
@@ -221,11 +221,10 @@ pub struct Host {
 }
 
 impl Host {
-    pub fn new(line: Box<dyn ByteLink>, dialect: Dialect) -> Self {
+    pub fn new(line: Box<dyn ByteLink>) -> Self {
         let config = DriverConfig { watchdog: watchdog(), ..DriverConfig::with_cycle(CYCLE) };
         let link = GatewayLinkConfig {
             arm: ARM,
-            dialect,
             format: FORMAT,
             geometry: Geometry::Unknown,
             // A gateway may be configured with at most 10 ms.

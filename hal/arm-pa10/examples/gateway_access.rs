@@ -14,11 +14,9 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use pb3dp_arm_pa10::arm::KeyedTcp;
-use pb3dp_arm_pa10::bus::{BusPort, FrameSocket};
+use pb3dp_arm_pa10_gateway::bus::{BusPort, FrameSocket};
 use pb3dp_arm_pa10_gateway::service::{BusOpener, GatewayServer, GatewayServerConfig, HostSide};
-use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    Agreement, ArmId, Dialect, Hello, HostMessage, OVERHEAD, SharedKey, Side,
-};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{Agreement, ArmId, Hello, HostMessage, OVERHEAD, SharedKey, Side};
 use pb3dp_arm_pa10_test_support::world::{ARM, Emulation, asked_limits, gateway_config, home, keyed, ms, tcp_side};
 use pb3dp_hal_platform::realtime::{Realtime, enter, now};
 use pb3dp_hal_platform::transport::{ByteLink, Connector, wait};
@@ -96,7 +94,7 @@ fn latency(side: HostSide, host: &KeyedTcp, strings: u64) {
         GatewayServer::start(GatewayServerConfig { gateway: gateway_config(), realtime }, opener, side).unwrap();
     let mut owner = host.clone().connect().unwrap();
     let mut sequence = 0;
-    let hello = Hello { dialect: Dialect::GatewayV1, cycle_us: 10_000, limits: asked_limits() };
+    let hello = Hello { cycle_us: 10_000, limits: asked_limits() };
     ask(owner.as_mut(), &HostMessage::Hello(hello), &mut sequence);
     let (mut calm, mut attacked) = (Vec::new(), Vec::new());
     let mut part = 0;

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use pb3dp_arm_pa10::driver::{DriverState, Request};
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Frame, FrameParser, Received};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Frame, FrameParser, Received};
 use pb3dp_arm_pa10_test_support::chain::{ARM, Chain, Spoil, Way};
 use pb3dp_arm_pa10_test_support::injection::{
     Braking, Dice, Stop, braking_time, controller_alarm, joints, last_motion, servo_alarm, table_line,
@@ -217,17 +217,14 @@ const INJECTIONS_PER_KIND: u32 = 24;
 fn whatever_fails_between_host_and_arm_the_arm_comes_to_rest_in_time() {
     for (index, kind) in kinds().iter().enumerate() {
         let mut stops = Vec::new();
-        for (variant, dialect) in [Dialect::Transparent, Dialect::GatewayV1].into_iter().enumerate() {
-            let mut dice = Dice { seed: 5000 + 10 * index as u32 + variant as u32, count: 0 };
-            // If messages do not arrive, only the controller can stop the arm; otherwise its watchdog is not needed.
-            let watchdog = (kind.name == "bus: deaf").then(|| Duration::from_millis(6));
-            let mut chain = Chain::new(dialect, WireFormat::BigEndian6x10, watchdog, joints());
-            for injection in 0..INJECTIONS_PER_KIND / 2 {
-                let [took, allowed] = inject(&mut chain, kind, &mut dice);
-                let place = format!("{} {injection} in {dialect:?}", kind.name);
-                assert!(took <= allowed, "{place}: {took:?} to rest, {allowed:?} allowed");
-                stops.push(Stop { took, allowed });
-            }
+        let mut dice = Dice { seed: 5000 + 10 * index as u32, count: 0 };
+        // If messages do not arrive, only the controller can stop the arm; otherwise its watchdog is not needed.
+        let watchdog = (kind.name == "bus: deaf").then(|| Duration::from_millis(6));
+        let mut chain = Chain::new(WireFormat::BigEndian6x10, watchdog, joints());
+        for injection in 0..INJECTIONS_PER_KIND {
+            let [took, allowed] = inject(&mut chain, kind, &mut dice);
+            assert!(took <= allowed, "{} {injection}: {took:?} to rest, {allowed:?} allowed", kind.name);
+            stops.push(Stop { took, allowed });
         }
         println!("{}", table_line(kind.name, &stops));
     }
@@ -236,37 +233,34 @@ fn whatever_fails_between_host_and_arm_the_arm_comes_to_rest_in_time() {
 /// With a controller without a watchdog, and with one whose watchdog permits a cycle of 2 ms.
 #[test]
 fn a_gateway_moves_the_emulated_arm() {
-    for (dialect, format, watchdog) in [
-        (Dialect::GatewayV1, WireFormat::LittleEndian5x8, Some(Duration::from_millis(6))),
-        (Dialect::GatewayV1, WireFormat::BigEndian6x10, None),
-        (Dialect::Transparent, WireFormat::LittleEndian5x8, None),
-        (Dialect::Transparent, WireFormat::BigEndian6x10, Some(Duration::from_millis(6))),
-    ] {
-        let mut chain = Chain::new(dialect, format, watchdog, joints());
-        chain.prepare();
-        let mut dice = Dice { seed: 9, count: 0 };
-        let before = chain.plant.lock().unwrap().state().position_rad;
-        move_about(&mut chain, &mut dice, Duration::from_secs(3));
-        assert_eq!(chain.driver.state(), DriverState::Moving, "{:?}", chain.driver.latched());
-        assert!((chain.plant.lock().unwrap().state().position_rad - before).amax() > 0.05);
-        chain.wanted = None;
-        chain.request(Request::Stop);
-        chain.settle();
-        chain.run(Duration::from_millis(300));
-        assert_eq!(chain.driver.state(), DriverState::Connected);
-        assert!(chain.controller.is_braked() && chain.is_at_rest());
-        let counters = chain.controller.counters();
-        assert_eq!(
-            [counters.forbidden, counters.malformed, counters.odd, counters.released, counters.watchdog_trips],
-            [0; 5]
-        );
+    for format in WireFormat::ALL {
+        for watchdog in [None, Some(Duration::from_millis(6))] {
+            let mut chain = Chain::new(format, watchdog, joints());
+            chain.prepare();
+            let mut dice = Dice { seed: 9, count: 0 };
+            let before = chain.plant.lock().unwrap().state().position_rad;
+            move_about(&mut chain, &mut dice, Duration::from_secs(3));
+            assert_eq!(chain.driver.state(), DriverState::Moving, "{:?}", chain.driver.latched());
+            assert!((chain.plant.lock().unwrap().state().position_rad - before).amax() > 0.05);
+            chain.wanted = None;
+            chain.request(Request::Stop);
+            chain.settle();
+            chain.run(Duration::from_millis(300));
+            assert_eq!(chain.driver.state(), DriverState::Connected);
+            assert!(chain.controller.is_braked() && chain.is_at_rest());
+            let counters = chain.controller.counters();
+            assert_eq!(
+                [counters.forbidden, counters.malformed, counters.odd, counters.released, counters.watchdog_trips],
+                [0; 5]
+            );
+        }
     }
 }
 
 /// 1 % of the replies on the bus and of the frames on the line lost, never three in a row, over 10 simulated minutes.
 #[test]
 fn one_percent_of_losses_everywhere_is_no_fault() {
-    let mut chain = Chain::new(Dialect::GatewayV1, WireFormat::BigEndian6x10, Some(Duration::from_millis(6)), joints());
+    let mut chain = Chain::new(WireFormat::BigEndian6x10, Some(Duration::from_millis(6)), joints());
     chain.prepare();
     chain.inject("chance 1% at-most 2 drop 1");
     let mut dice = Dice { seed: 40, count: 0 };

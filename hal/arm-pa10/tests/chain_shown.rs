@@ -7,14 +7,14 @@ use std::time::Duration;
 use pb3dp_arm_pa10::driver::{DriverState, Request};
 use pb3dp_arm_pa10_protocol::codec::StatusSignals;
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
-use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, GatewayState};
+use pb3dp_arm_pa10_protocol::gateway_protocol::GatewayState;
 use pb3dp_arm_pa10_test_support::chain::Chain;
 use pb3dp_arm_pa10_test_support::injection::joints;
 use pb3dp_kinematics::JointVector;
 
 /// An arm that is stopped in motion, and a host that connects later.
-fn found(dialect: Dialect, line: &str) -> Chain {
-    let mut chain = Chain::new(dialect, WireFormat::BigEndian6x10, None, joints());
+fn found(line: &str) -> Chain {
+    let mut chain = Chain::new(WireFormat::BigEndian6x10, None, joints());
     chain.prepare();
     chain.wanted = Some(JointVector::repeat(0.1));
     chain.next_host_cycle = chain.now;
@@ -54,7 +54,7 @@ fn a_stopped_arm_is_shown_with_what_stopped_it() {
             "fault: axis 4 (E1): alarm 0x0e (over-current); remove the cause, then reset",
         ),
     ] {
-        let chain = found(Dialect::GatewayV1, line);
+        let chain = found(line);
         assert_eq!(chain.link.hello().unwrap().state, state, "{line}");
         let shown = chain.link.shown().unwrap();
         let position_rad = chain.plant.lock().unwrap().state().position_rad;
@@ -69,17 +69,15 @@ fn a_stopped_arm_is_shown_with_what_stopped_it() {
 /// The controller receives no message, and a reset works as before.
 #[test]
 fn looking_at_a_stopped_arm_changes_nothing() {
-    for dialect in [Dialect::GatewayV1, Dialect::Transparent] {
-        let mut chain = found(dialect, "time-out");
-        assert_eq!(chain.link.shown().is_some(), dialect == Dialect::GatewayV1);
-        let frames = chain.controller.counters().frames;
-        for _ in 0..5 {
-            chain.open();
-        }
-        assert_eq!(chain.controller.counters().frames, frames, "nothing was said to the controller");
-        assert_eq!(chain.gateway.status().state, GatewayState::Fault);
-        chain.request(Request::Reset);
-        chain.settle();
-        assert_eq!(chain.driver.state(), DriverState::Connected, "{:?}", chain.driver.latched());
+    let mut chain = found("time-out");
+    assert!(chain.link.shown().is_some());
+    let frames = chain.controller.counters().frames;
+    for _ in 0..5 {
+        chain.open();
     }
+    assert_eq!(chain.controller.counters().frames, frames, "nothing was said to the controller");
+    assert_eq!(chain.gateway.status().state, GatewayState::Fault);
+    chain.request(Request::Reset);
+    chain.settle();
+    assert_eq!(chain.driver.state(), DriverState::Connected, "{:?}", chain.driver.latched());
 }

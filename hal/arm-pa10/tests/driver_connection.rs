@@ -139,32 +139,6 @@ fn after_missed_cycles_the_next_message_comes_one_cycle_later() {
     assert_eq!(bench.driver.transmit_due(), last + CYCLE);
 }
 
-/// On a bus the previous program may have left the arm in motion: the brakes get their full time to close before E.
-#[test]
-fn a_silent_arm_gets_the_whole_brake_time_before_its_first_end() {
-    let mut bench = Bench::on_bus(DriverConfig::with_cycle(CYCLE));
-    bench.peer.answers = false;
-    bench.request(Request::Connect);
-    bench.settle();
-    assert_eq!(bench.kinds_since(0)[0], (Kind::Braked, 20));
-    assert_eq!(bench.kinds_since(0)[1].0, Kind::End);
-}
-
-#[test]
-fn an_arm_is_found_driven_from_the_speed_limit_of_standstill_on() {
-    for (speed_rad_per_s, is_driven) in [(0.01, false), (0.0101, true), (-0.0101, true)] {
-        let mut bench = Bench::on_bus(DriverConfig::with_cycle(CYCLE));
-        bench.request(Request::Connect);
-        assert!(bench.driver.poll_transmit(bench.now).is_some());
-        let mut sample = bench.peer.sample();
-        sample.velocity_rad_per_s = Some(JointVector::from([0.0, 0.0, 0.0, 0.0, 0.0, speed_rad_per_s, 0.0]));
-        bench.driver.handle_reply(bench.now, &Reply::Sample(sample));
-        let found = bench.driver.latched().map(|latched| latched.trip);
-        let driven = Some(Trip::Fault(FaultCause::FoundDriven));
-        assert_eq!(found, driven.filter(|_| is_driven), "{speed_rad_per_s} rad/s");
-    }
-}
-
 #[test]
 fn speeds_that_are_not_measured_are_differences_of_angles() {
     let mut bench = Bench::new();

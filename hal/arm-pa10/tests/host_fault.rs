@@ -9,18 +9,12 @@ use pb3dp_arm_pa10_emulation::mock_controller::pa10_joints;
 use pb3dp_arm_pa10_protocol::codec::Signal;
 use pb3dp_arm_pa10_protocol::codec::{Axis, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmOperation, Control, Dialect, FrameParser, GatewayState, HostMessage, Received, RejectReason, StopCause,
+    ArmOperation, Control, FrameParser, GatewayState, HostMessage, Received, RejectReason, StopCause,
 };
 use pb3dp_arm_pa10_test_support::bus_bench::{self, HOST_CYCLE};
 use pb3dp_arm_pa10_test_support::chain::{ARM, Chain, Way};
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::{JointMechanics, JointPlant};
-
-const KINDS: [(Dialect, WireFormat); 3] = [
-    (Dialect::GatewayV1, WireFormat::BigEndian6x10),
-    (Dialect::Transparent, WireFormat::BigEndian6x10),
-    (Dialect::Transparent, WireFormat::LittleEndian5x8),
-];
 
 const fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)
@@ -44,14 +38,14 @@ fn trips() -> Vec<Trip> {
     causes.into_iter().map(Trip::Fault).chain([pressed]).collect()
 }
 
-fn chain(dialect: Dialect, format: WireFormat) -> Chain {
+fn chain(format: WireFormat) -> Chain {
     let start_rad = JointVector::from([0.1, 0.7, 0.2, 0.9, 0.1, 0.5, 0.1]);
     let plant = JointPlant::new(pa10_joints().unwrap(), start_rad, bus_bench::START).unwrap();
-    Chain::new(dialect, format, Some(ms(6)), plant.with_mechanics(JointMechanics::default()).unwrap())
+    Chain::new(format, Some(ms(6)), plant.with_mechanics(JointMechanics::default()).unwrap())
 }
 
-fn moving(dialect: Dialect, format: WireFormat) -> Chain {
-    let mut chain = chain(dialect, format);
+fn moving(format: WireFormat) -> Chain {
+    let mut chain = chain(format);
     chain.prepare();
     chain.wanted = Some(JointVector::from([0.1, -0.2, 0.1, 0.2, 0.3, 0.2, 0.3]));
     chain.run(ms(300));
@@ -99,10 +93,10 @@ fn aborts(bytes: &[u8]) -> usize {
 
 #[test]
 fn the_next_program_waits_for_a_reset_whatever_this_one_has_found() {
-    for (dialect, format) in KINDS {
+    for format in WireFormat::ALL {
         for trip in trips() {
-            let what = format!("{dialect}, {format}, {trip}");
-            let mut chain = moving(dialect, format);
+            let what = format!("{format}, {trip}");
+            let mut chain = moving(format);
             chain.driver.handle_trip(chain.now, trip);
             chain.wanted = None;
             // 30 ms of ramp, the lag of the drives, and the delay of the message.
@@ -120,8 +114,8 @@ fn the_next_program_waits_for_a_reset_whatever_this_one_has_found() {
 
 #[test]
 fn the_program_that_has_found_it_resets_both() {
-    for (dialect, format) in KINDS {
-        let mut chain = moving(dialect, format);
+    for format in WireFormat::ALL {
+        let mut chain = moving(format);
         chain.driver.handle_trip(chain.now, Trip::Fault(FaultCause::Supervisor));
         chain.settle();
         assert_eq!(found(&chain), (GatewayState::Fault, StopCause::HostFault));
@@ -138,9 +132,9 @@ fn the_program_that_has_found_it_resets_both() {
 
 #[test]
 fn what_ends_in_order_latches_nothing() {
-    for (dialect, format) in KINDS {
+    for format in WireFormat::ALL {
         for moves in [true, false] {
-            let mut chain = moving(dialect, format);
+            let mut chain = moving(format);
             if !moves {
                 chain.request(Request::Hold);
                 chain.wanted = None;
@@ -161,8 +155,8 @@ fn what_ends_in_order_latches_nothing() {
 /// A program that only inspects an arm reports its faults, and leaves the gateway unchanged.
 #[test]
 fn what_is_found_while_looking_latches_nothing() {
-    for (dialect, format) in KINDS {
-        let mut chain = chain(dialect, format);
+    for format in WireFormat::ALL {
+        let mut chain = chain(format);
         chain.request(Request::Disconnect);
         chain.request(Request::Connect);
         for _ in 0..50 {
@@ -170,11 +164,11 @@ fn what_is_found_while_looking_latches_nothing() {
                 chain.run(ms(1));
             }
         }
-        assert_eq!(chain.gateway.status().state, GatewayState::Started, "{dialect}, {format}");
+        assert_eq!(chain.gateway.status().state, GatewayState::Started, "{format}");
         chain.driver.handle_trip(chain.now, Trip::Fault(FaultCause::OtherArm { arm: 9 }));
         chain.settle();
         chain.run(ms(1500));
-        assert_eq!(found(&chain), (GatewayState::Idle, StopCause::None), "{dialect}, {format}");
+        assert_eq!(found(&chain), (GatewayState::Idle, StopCause::None), "{format}");
         next_program(&mut chain);
         chain.prepare();
     }
@@ -183,7 +177,7 @@ fn what_is_found_while_looking_latches_nothing() {
 /// The owner of the gateway has stopped it: the arm has no fault, and the program that drove it stops as well.
 #[test]
 fn a_gateway_that_its_owner_stops_latches_nothing() {
-    let mut chain = moving(Dialect::GatewayV1, WireFormat::BigEndian6x10);
+    let mut chain = moving(WireFormat::BigEndian6x10);
     chain.gateway.stop(chain.now);
     chain.settle();
     chain.run(ms(500));
@@ -195,14 +189,14 @@ fn a_gateway_that_its_owner_stops_latches_nothing() {
 /// Also with closed brakes: the program wanted to move.
 #[test]
 fn what_is_found_before_the_brakes_open_latches_too() {
-    for (dialect, format) in KINDS {
-        let mut chain = chain(dialect, format);
+    for format in WireFormat::ALL {
+        let mut chain = chain(format);
         chain.request(Request::Enable);
         chain.run(ms(300));
-        assert_eq!(chain.gateway.status().state, GatewayState::Started, "{dialect}, {format}");
+        assert_eq!(chain.gateway.status().state, GatewayState::Started, "{format}");
         chain.driver.handle_trip(chain.now, Trip::Fault(FaultCause::Supervisor));
         chain.settle();
-        assert_eq!(found(&chain), (GatewayState::Fault, StopCause::HostFault), "{dialect}, {format}");
+        assert_eq!(found(&chain), (GatewayState::Fault, StopCause::HostFault), "{format}");
         wants_a_reset(&mut chain, "enabling");
     }
 }
@@ -210,15 +204,15 @@ fn what_is_found_before_the_brakes_open_latches_too() {
 /// A fault during a requested stop counts as well.
 #[test]
 fn what_is_found_while_an_ordered_stop_is_under_way_latches() {
-    for (dialect, format) in KINDS {
+    for format in WireFormat::ALL {
         for after in [0, 20, 60, 200] {
-            let mut chain = moving(dialect, format);
+            let mut chain = moving(format);
             chain.request(Request::Stop);
             chain.wanted = None;
             chain.run(ms(after));
             chain.driver.handle_trip(chain.now, Trip::Fault(FaultCause::Supervisor));
             chain.settle();
-            assert_eq!(found(&chain), (GatewayState::Fault, StopCause::HostFault), "{dialect}, {format}, {after}");
+            assert_eq!(found(&chain), (GatewayState::Fault, StopCause::HostFault), "{format}, {after}");
             wants_a_reset(&mut chain, "stopping");
         }
     }
@@ -226,7 +220,7 @@ fn what_is_found_while_an_ordered_stop_is_under_way_latches() {
 
 #[test]
 fn a_lost_message_is_repeated_and_a_dead_line_latches() {
-    for (dialect, format) in KINDS {
+    for format in WireFormat::ALL {
         for (way, lost, expected) in [
             (Way::ToGateway, 1, StopCause::HostFault),
             (Way::ToGateway, 2, StopCause::HostFault),
@@ -234,8 +228,8 @@ fn a_lost_message_is_repeated_and_a_dead_line_latches() {
             (Way::ToHost, 3, StopCause::HostFault),
             (Way::ToGateway, 1000, StopCause::HostSilent),
         ] {
-            let what = format!("{dialect}, {format}, {way:?} {lost}");
-            let mut chain = moving(dialect, format);
+            let what = format!("{format}, {way:?} {lost}");
+            let mut chain = moving(format);
             // Messages in transit arrive first, so that the next frame is the first of the stop.
             chain.wanted = None;
             chain.run(ms(7));
@@ -264,7 +258,7 @@ fn a_lost_message_is_repeated_and_a_dead_line_latches() {
 fn a_gateway_that_knows_the_fault_receives_no_second_report() {
     use std::sync::atomic::{AtomicUsize, Ordering};
     let count = std::sync::Arc::new(AtomicUsize::new(0));
-    let mut chain = moving(Dialect::GatewayV1, WireFormat::BigEndian6x10);
+    let mut chain = moving(WireFormat::BigEndian6x10);
     let counted = std::sync::Arc::clone(&count);
     chain.spoil = Some(Box::new(move |way, bytes| {
         if way == Way::ToGateway {
@@ -281,25 +275,20 @@ fn a_gateway_that_knows_the_fault_receives_no_second_report() {
 /// The gateway has detected the button as well: the host's report must not replace it.
 #[test]
 fn an_emergency_stop_stays_one() {
-    for dialect in [Dialect::GatewayV1, Dialect::Transparent] {
-        let mut chain = moving(dialect, WireFormat::BigEndian6x10);
-        chain.inject("e-stop press");
-        chain.run(ms(5));
-        assert_eq!(found(&chain), (GatewayState::EmergencyStop, StopCause::EmergencyStop), "{dialect}");
-        // For example the other arm of the cell.
-        chain.driver.handle_trip(chain.now, Trip::Fault(FaultCause::OtherArm { arm: 9 }));
-        chain.settle();
-        assert_eq!(found(&chain), (GatewayState::EmergencyStop, StopCause::EmergencyStop), "{dialect}");
-        if dialect == Dialect::GatewayV1 {
-            assert_eq!(chain.driver.state(), DriverState::EStop);
-        }
-        // The reverse: the host keeps the emergency stop that it detected.
-        let mut chain = moving(dialect, WireFormat::BigEndian6x10);
-        let pressed =
-            Trip::EStop(EmergencyStopCause::Switch { signal: Signal::EmergencyStop, axis: None, word: 0x0008 });
-        chain.driver.handle_trip(chain.now, pressed);
-        chain.settle();
-        assert_eq!(chain.driver.state(), DriverState::EStop, "{dialect}");
-        assert_eq!(chain.driver.latched().map(|latched| latched.trip), Some(pressed), "{dialect}");
-    }
+    let mut chain = moving(WireFormat::BigEndian6x10);
+    chain.inject("e-stop press");
+    chain.run(ms(5));
+    assert_eq!(found(&chain), (GatewayState::EmergencyStop, StopCause::EmergencyStop));
+    // For example the other arm of the cell.
+    chain.driver.handle_trip(chain.now, Trip::Fault(FaultCause::OtherArm { arm: 9 }));
+    chain.settle();
+    assert_eq!(found(&chain), (GatewayState::EmergencyStop, StopCause::EmergencyStop));
+    assert_eq!(chain.driver.state(), DriverState::EStop);
+    // The reverse: the host keeps the emergency stop that it detected.
+    let mut chain = moving(WireFormat::BigEndian6x10);
+    let pressed = Trip::EStop(EmergencyStopCause::Switch { signal: Signal::EmergencyStop, axis: None, word: 0x0008 });
+    chain.driver.handle_trip(chain.now, pressed);
+    chain.settle();
+    assert_eq!(chain.driver.state(), DriverState::EStop);
+    assert_eq!(chain.driver.latched().map(|latched| latched.trip), Some(pressed));
 }

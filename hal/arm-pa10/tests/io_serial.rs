@@ -7,21 +7,13 @@ use std::net::{SocketAddr, TcpListener};
 use std::time::{Duration, Instant};
 
 use pb3dp_arm_pa10::serial::{SerialConfig, SerialError, SerialLink};
-use pb3dp_arm_pa10_protocol::codec::WireFormat;
-use pb3dp_arm_pa10_protocol::gateway_protocol::Dialect;
 use pb3dp_arm_pa10_test_support::byte_links::{LONG, read_exactly};
 use pb3dp_hal_platform::pty::Pty;
 use pb3dp_hal_platform::tcp::{TcpConfig, TcpLink};
 use pb3dp_hal_platform::transport::{ByteLink, Connector};
 
 pub fn config(path: &str) -> SerialConfig {
-    SerialConfig {
-        path: path.to_owned(),
-        baud: 460_800,
-        dialect: Dialect::GatewayV1,
-        format: WireFormat::BigEndian6x10,
-        cycle: Duration::from_millis(10),
-    }
+    SerialConfig { path: path.to_owned(), baud: 460_800, cycle: Duration::from_millis(10) }
 }
 
 pub fn open(pty: &Pty) -> Result<SerialLink, SerialError> {

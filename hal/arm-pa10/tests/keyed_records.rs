@@ -4,7 +4,7 @@
 
 use pb3dp_arm_pa10::arm::KeyedLink;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    Agreement, ArmId, Dialect, DriveCommand, DriveMode, Hello, HostMessage, MotionLimits, SharedKey, Side,
+    Agreement, ArmId, DriveCommand, DriveMode, Hello, HostMessage, MotionLimits, SharedKey, Side,
 };
 use pb3dp_hal_platform::transport::{ByteLink, Symptom, Unplugged};
 use pb3dp_test_support::sweep;
@@ -56,8 +56,7 @@ fn agreement(connection: u8) -> Agreement {
 
 /// The frames of an owner that moves an arm.
 fn frames() -> Vec<Vec<u8>> {
-    let hello =
-        HostMessage::Hello(Hello { dialect: Dialect::GatewayV1, cycle_us: 10_000, limits: MotionLimits::WIDEST });
+    let hello = HostMessage::Hello(Hello { cycle_us: 10_000, limits: MotionLimits::WIDEST });
     let follow =
         |speed: i32| HostMessage::Command(DriveCommand { mode: DriveMode::Follow, speed_urad_per_s: [speed; 7] });
     let messages = [hello, HostMessage::Heartbeat, follow(0), follow(100_000), follow(200_000), follow(0)];

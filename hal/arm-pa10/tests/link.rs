@@ -1,37 +1,29 @@
-//! The driver over its links: to a gateway in both dialects, and to the servo controller itself.
+//! The driver over its link to a gateway.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 use std::time::Duration;
 
 use pb3dp_arm_pa10::driver::{
-    Activity, Driver, DriverConfig, DriverState, EmergencyStopCause, FaultCause, Request, Trip, WarmUpFailure,
+    Driver, DriverConfig, DriverState, EmergencyStopCause, FaultCause, Request, Trip, WarmUpFailure,
 };
-use pb3dp_arm_pa10::link::{BusFrameError, BusLink, GatewayLink, HelloError, LinkError};
-use pb3dp_arm_pa10_protocol::arcnet::{self, Route};
-use pb3dp_arm_pa10_protocol::codec::{
-    AngleCounts, ArmReply, AxisReply, AxisStatus, CodecError, CommStatus, ControlMessage, ControlPacket, Packet,
-    ReplyMessage, ReplyPacket, SequenceModulus, ServoAlarm, ServoWord, TorqueCounts, WireFormat,
-};
+use pb3dp_arm_pa10::link::{GatewayLink, HelloError, LinkError};
+use pb3dp_arm_pa10_protocol::codec::{AngleCounts, ServoAlarm, ServoWord, WireFormat};
 use pb3dp_arm_pa10_protocol::codec::{Signal, SignalSource};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmId, ArmOperation, Control, Dialect, FaultReport, GatewayMessage, GatewayState, Geometry, HostMessage,
-    MotionQuantity, RejectReason, StopCause,
+    ArmId, ArmOperation, Control, FaultReport, GatewayMessage, GatewayState, Geometry, HostMessage, MotionQuantity,
+    RejectReason, StopCause,
 };
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_test_support::link_rig::{ARM, CYCLE, FakeGateway, Rig, driver_config, link_config, ms, velocity};
 use pb3dp_geometry::MonotonicTime;
 
-fn rigs() -> [Rig; 3] {
-    [
-        Rig::new(Dialect::GatewayV1, WireFormat::BigEndian6x10),
-        Rig::new(Dialect::Transparent, WireFormat::BigEndian6x10),
-        Rig::new(Dialect::Transparent, WireFormat::LittleEndian5x8),
-    ]
+fn rigs() -> [Rig; 2] {
+    WireFormat::ALL.map(Rig::new)
 }
 
 #[test]
-fn an_arm_goes_up_and_down_over_a_gateway_in_every_dialect() {
+fn an_arm_goes_up_and_down_over_a_gateway_in_every_format() {
     for mut rig in rigs() {
         rig.lead_to_moving();
         assert_eq!(rig.gateway.state, GatewayState::Moving);
@@ -50,7 +42,7 @@ fn an_arm_goes_up_and_down_over_a_gateway_in_every_dialect() {
 
 #[test]
 fn a_link_that_nobody_answered_sends_nothing() {
-    let mut link = GatewayLink::new(link_config(Dialect::GatewayV1, WireFormat::BigEndian6x10));
+    let mut link = GatewayLink::new(link_config(WireFormat::BigEndian6x10));
     let mut driver = Driver::new(DriverConfig::with_cycle(CYCLE)).unwrap();
     let now = MonotonicTime::from_nanos(1_000_000_000);
     driver.handle_request(now, Request::Connect).unwrap();
@@ -73,7 +65,7 @@ fn a_gateway_of_another_arm_or_format_is_refused_by_name() {
         assert_eq!(link.poll_output(now), None);
         *link.hello_error().unwrap()
     };
-    let good = link_config(Dialect::GatewayV1, WireFormat::BigEndian6x10);
+    let good = link_config(WireFormat::BigEndian6x10);
     let (a, b) = (WireFormat::LittleEndian5x8, WireFormat::BigEndian6x10);
     assert_eq!(greet(GatewayLinkConfig { format: a, ..good }), HelloError::Format { got: b, configured: a });
     let geometry = Geometry::FirstGeneration;
@@ -95,7 +87,7 @@ fn a_gateway_without_a_watchdog_is_refused() {
         ([0, 0], true),
         ([50_000, 20_000], true),
     ] {
-        let mut link = GatewayLink::new(link_config(Dialect::GatewayV1, WireFormat::BigEndian6x10));
+        let mut link = GatewayLink::new(link_config(WireFormat::BigEndian6x10));
         let mut driver = Driver::new(driver_config()).unwrap();
         let mut gateway = FakeGateway::new(ARM, WireFormat::BigEndian6x10);
         gateway.watchdog_us = watchdog_us;
@@ -113,7 +105,7 @@ fn a_gateway_without_a_watchdog_is_refused() {
 #[test]
 fn a_gateway_with_brakes_that_nobody_has_is_refused() {
     for (brake_us, is_refused) in [(0, false), (5_000_000, false), (5_000_001, true), (4_000_000_000, true)] {
-        let mut link = GatewayLink::new(link_config(Dialect::GatewayV1, WireFormat::BigEndian6x10));
+        let mut link = GatewayLink::new(link_config(WireFormat::BigEndian6x10));
         let mut driver = Driver::new(driver_config()).unwrap();
         let mut gateway = FakeGateway::new(ARM, WireFormat::BigEndian6x10);
         gateway.brake_us = brake_us;
@@ -130,7 +122,7 @@ fn a_gateway_with_brakes_that_nobody_has_is_refused() {
 
 #[test]
 fn an_idle_link_shows_that_the_host_is_there() {
-    let mut rig = Rig::new(Dialect::GatewayV1, WireFormat::BigEndian6x10);
+    let mut rig = Rig::new(WireFormat::BigEndian6x10);
     rig.request(Request::Connect);
     rig.settle();
     rig.gateway.messages.clear();
@@ -174,7 +166,7 @@ fn a_gateway_that_stopped_the_arm_before_wants_a_reset() {
 
 #[test]
 fn a_gateway_that_latches_during_motion_stops_the_driver_with_its_cause() {
-    let mut rig = Rig::new(Dialect::GatewayV1, WireFormat::BigEndian6x10);
+    let mut rig = Rig::new(WireFormat::BigEndian6x10);
     rig.lead_to_moving();
     rig.gateway.latch(StopCause::CycleMissed);
     rig.run(ms(30));
@@ -242,7 +234,7 @@ fn a_gateway_whose_brakes_need_a_little_longer_is_asked_again_to_end() {
 
 #[test]
 fn a_restarted_gateway_is_greeted_anew_before_a_reset_can_succeed() {
-    let mut rig = Rig::new(Dialect::GatewayV1, WireFormat::BigEndian6x10);
+    let mut rig = Rig::new(WireFormat::BigEndian6x10);
     rig.lead_to_moving();
     rig.gateway.restart();
     rig.run(ms(30));
@@ -257,7 +249,7 @@ fn a_restarted_gateway_is_greeted_anew_before_a_reset_can_succeed() {
 
 #[test]
 fn a_restarted_gateway_counts_time_anew_and_its_measurements_are_not_taken_for_old() {
-    let mut rig = Rig::new(Dialect::GatewayV1, WireFormat::BigEndian6x10);
+    let mut rig = Rig::new(WireFormat::BigEndian6x10);
     rig.lead_to_moving();
     rig.gateway.restart();
     rig.gateway_behind = rig.now.saturating_since(MonotonicTime::ZERO);
@@ -298,7 +290,7 @@ fn a_fault_report_names_axis_and_alarm() {
         (report(StopCause::LimitExceeded, Some(axis), 9), Trip::Fault(FaultCause::Gateway(StopCause::LimitExceeded))),
         (report(StopCause::Internal, None, 0), Trip::Fault(FaultCause::Gateway(StopCause::Internal))),
     ] {
-        let mut rig = Rig::new(Dialect::GatewayV1, WireFormat::BigEndian6x10);
+        let mut rig = Rig::new(WireFormat::BigEndian6x10);
         rig.lead_to_moving();
         let bytes = rig.gateway.frame(&GatewayMessage::Fault(report), 0).encode();
         rig.link.handle_bytes(rig.now, &bytes, &mut rig.driver);
@@ -308,7 +300,7 @@ fn a_fault_report_names_axis_and_alarm() {
 
 #[test]
 fn a_frame_of_the_other_arm_stops_this_one() {
-    let mut rig = Rig::new(Dialect::GatewayV1, WireFormat::BigEndian6x10);
+    let mut rig = Rig::new(WireFormat::BigEndian6x10);
     rig.lead_to_moving();
     let other = FakeGateway::new(ArmId(1), WireFormat::BigEndian6x10);
     let report = FaultReport { cause: StopCause::None, state_before: GatewayState::Idle, axis: None, word: 0 };
@@ -326,7 +318,7 @@ fn noise_on_the_line_is_survived_and_counted_and_keeps_the_brakes_on() {
         bytes[18] ^= 0xFF;
         bytes
     };
-    let mut rig = Rig::new(Dialect::GatewayV1, WireFormat::BigEndian6x10);
+    let mut rig = Rig::new(WireFormat::BigEndian6x10);
     rig.lead_to_moving();
     rig.noise = damaged.clone();
     rig.request(Request::Hold);
@@ -334,7 +326,7 @@ fn noise_on_the_line_is_survived_and_counted_and_keeps_the_brakes_on() {
     assert_eq!((rig.driver.state(), rig.driver.counters().damaged), (DriverState::Holding, 1));
     assert_eq!(rig.driver.counters().lost, 0);
 
-    let mut rig = Rig::new(Dialect::GatewayV1, WireFormat::BigEndian6x10);
+    let mut rig = Rig::new(WireFormat::BigEndian6x10);
     rig.request(Request::Connect);
     rig.settle();
     rig.request(Request::Enable);
@@ -342,74 +334,4 @@ fn noise_on_the_line_is_survived_and_counted_and_keeps_the_brakes_on() {
     rig.noise = damaged;
     rig.settle();
     assert!(matches!(rig.driver.warm_up_failure(), Some(WarmUpFailure::Damaged { bad: 1, .. })));
-}
-
-/// The servo controller on the bus, as the driver sees it.
-fn controller_reply(format: WireFormat, asked: &ControlPacket) -> Packet {
-    let axis = AxisReply {
-        status: AxisStatus::Undocumented(0),
-        angle: AngleCounts(-204_800),
-        speed: None,
-        torque: TorqueCounts(0),
-    };
-    let message = match asked.message {
-        ControlMessage::Cyclic(_) => {
-            ReplyMessage::Cyclic(ArmReply { axes: [axis; 7], comm: CommStatus::Undocumented(1) })
-        }
-        other => ReplyMessage::Done(other.letter()),
-    };
-    ReplyPacket { sequence: asked.sequence, message }.encode(format).unwrap()
-}
-
-#[test]
-fn an_arm_goes_up_and_down_on_the_bus_itself() {
-    let format = WireFormat::LittleEndian5x8;
-    let mut driver = Driver::new(DriverConfig::with_cycle(ms(2))).unwrap();
-    let mut link = BusLink::new(format, SequenceModulus::Modulo128);
-    let mut now = MonotonicTime::from_nanos(1_000_000_000);
-    let mut settle = |driver: &mut Driver, requests: &[Request]| {
-        for request in requests {
-            driver.handle_request(now, *request).unwrap();
-            for _ in 0..1000 {
-                now = now + ms(2);
-                let Some(transmit) = driver.poll_transmit(now) else { continue };
-                let frame = link.send(&transmit).unwrap();
-                let bytes = arcnet::decode(Route::TO_CONTROLLER, &frame).unwrap();
-                let asked = ControlPacket::decode(format, bytes).unwrap();
-                let reply = arcnet::encode(Route::TO_HOST, &controller_reply(format, &asked)).unwrap();
-                let foreign =
-                    arcnet::encode(Route { sender: 5, receiver: 6 }, &controller_reply(format, &asked)).unwrap();
-                link.handle_frame(now, &foreign, driver).unwrap();
-                link.handle_frame(now + Duration::from_micros(400), &reply, driver).unwrap();
-            }
-            assert_eq!(driver.activity(), Activity::None);
-        }
-    };
-    settle(&mut driver, &[Request::Connect, Request::Enable, Request::ReleaseBrakes, Request::Hold]);
-    assert_eq!(driver.state(), DriverState::Holding);
-    assert!((driver.joints().unwrap().position_rad[3].to_degrees() + 90.0).abs() < 1e-9);
-    settle(&mut driver, &[Request::Stop]);
-    assert_eq!(driver.state(), DriverState::Connected);
-    assert_eq!((driver.counters().lost, driver.counters().mismatched), (0, 0));
-}
-
-#[test]
-fn a_stale_or_damaged_reply_on_the_bus_is_reported_and_counted() {
-    let format = WireFormat::LittleEndian5x8;
-    let mut driver = Driver::new(DriverConfig::with_cycle(ms(2))).unwrap();
-    let mut link = BusLink::new(format, SequenceModulus::Modulo256);
-    let now = MonotonicTime::from_nanos(1_000_000_000);
-    driver.handle_request(now, Request::Connect).unwrap();
-    let transmit = driver.poll_transmit(now).unwrap();
-    link.send(&transmit).unwrap();
-    let asked = ControlPacket { sequence: 0, message: transmit.message };
-    let stale = ControlPacket { sequence: 255, ..asked };
-    let frame = arcnet::encode(Route::TO_HOST, &controller_reply(format, &stale)).unwrap();
-    let error = link.handle_frame(now, &frame, &mut driver).unwrap_err();
-    assert_eq!(error, BusFrameError::Packet(CodecError::Sequence { got: 255, expected: 0 }));
-    let good = arcnet::encode(Route::TO_HOST, &controller_reply(format, &asked)).unwrap();
-    link.handle_frame(now, &good[..5], &mut driver).unwrap_err();
-    link.handle_frame(now, &good, &mut driver).unwrap();
-    let counters = driver.counters();
-    assert_eq!((counters.late, counters.damaged, counters.answered), (1, 1, 1));
 }

@@ -6,13 +6,12 @@ use std::time::Duration;
 
 use pb3dp_arm_pa10::driver::{Activity, DriverState, FaultCause, Request, Trip};
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
-use pb3dp_arm_pa10_protocol::gateway_protocol::Dialect;
 use pb3dp_arm_pa10_test_support::link_rig::{CYCLE, Line, Rig, TICK, Way, good_line, ms, velocity};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
 
 fn rig() -> Rig {
-    Rig::new(Dialect::GatewayV1, WireFormat::BigEndian6x10)
+    Rig::new(WireFormat::BigEndian6x10)
 }
 
 /// Follows commands for this time, or until the driver refuses them.
@@ -171,21 +170,19 @@ fn an_answer_that_took_longer_holds_an_older_measurement() {
 /// The gateway reports a completed operation as done, so every message can be repeated.
 #[test]
 fn one_lost_answer_anywhere_on_the_way_up_and_down_is_tolerated() {
-    for dialect in [Dialect::GatewayV1, Dialect::Transparent] {
-        for lost in 0..170 {
-            let mut rig = Rig::new(dialect, WireFormat::BigEndian6x10);
-            let (mut count, mut good) = (0, good_line());
-            rig.line = Box::new(move |way, bytes| {
-                count += u32::from(way == Way::ToHost);
-                if way == Way::ToHost && count == lost + 1 { Vec::new() } else { good(way, bytes) }
-            });
-            rig.lead_to_moving();
-            rig.request(Request::Stop);
-            rig.settle();
-            assert_eq!(rig.driver.state(), DriverState::Connected, "{dialect}, {lost}: {:?}", rig.driver.latched());
-            assert_eq!(rig.driver.counters().lost, 1, "{dialect}, {lost}");
-            assert!(rig.gateway.rejected.is_empty(), "{dialect}, {lost}: {:?}", rig.gateway.rejected);
-        }
+    for lost in 0..170 {
+        let mut rig = rig();
+        let (mut count, mut good) = (0, good_line());
+        rig.line = Box::new(move |way, bytes| {
+            count += u32::from(way == Way::ToHost);
+            if way == Way::ToHost && count == lost + 1 { Vec::new() } else { good(way, bytes) }
+        });
+        rig.lead_to_moving();
+        rig.request(Request::Stop);
+        rig.settle();
+        assert_eq!(rig.driver.state(), DriverState::Connected, "{lost}: {:?}", rig.driver.latched());
+        assert_eq!(rig.driver.counters().lost, 1, "{lost}");
+        assert!(rig.gateway.rejected.is_empty(), "{lost}: {:?}", rig.gateway.rejected);
     }
 }
 

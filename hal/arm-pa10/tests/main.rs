@@ -1,7 +1,6 @@
 //! Integration tests of the PA-10 driver, and of its chain with the gateway and the emulation.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout, reason = "helpers of tests")]
 
-mod bus_format;
 mod chain_injections;
 mod chain_line;
 mod chain_shown;
@@ -12,22 +11,15 @@ mod driver_owner;
 mod driver_properties;
 mod driver_table;
 mod driver_words;
-mod gateway_limits;
-mod gateway_restart;
 mod host_fault;
-mod io_bus;
 mod io_links;
 mod io_serial;
 mod keyed_records;
 mod known_driver_bugs;
 mod link;
 mod link_faults;
-mod mock_controller;
-mod mock_exposes_bugs;
-mod mock_injections;
 mod no_allocation;
 mod old_measurements;
 mod real_time;
 mod unacknowledged_stop_by_gateway;
-mod unacknowledged_stop_on_bus;
 mod virtual_time;

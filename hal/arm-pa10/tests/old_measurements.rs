@@ -7,7 +7,7 @@ use std::time::Duration;
 use pb3dp_arm_pa10::driver::{Activity, DriverState, FaultCause, MEASUREMENT_AGE_MAX, Request, Trip};
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    Dialect, Frame, FrameParser, GatewayMessage, GatewayState, Received, State, StopCause,
+    Frame, FrameParser, GatewayMessage, GatewayState, Received, State, StopCause,
 };
 use pb3dp_arm_pa10_test_support::bus_bench::plant;
 use pb3dp_arm_pa10_test_support::chain::{ARM, Chain, Way};
@@ -18,7 +18,7 @@ const fn ms(ms: u64) -> Duration {
 }
 
 fn moving() -> Chain {
-    let mut chain = Chain::new(Dialect::GatewayV1, WireFormat::BigEndian6x10, None, plant());
+    let mut chain = Chain::new(WireFormat::BigEndian6x10, None, plant());
     chain.prepare();
     chain.wanted = Some(JointVector::from([0.1, -0.2, 0.1, 0.2, 0.3, 0.2, 0.3]));
     chain.run(ms(300));

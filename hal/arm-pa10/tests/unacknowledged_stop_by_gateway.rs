@@ -8,9 +8,7 @@ use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, FaultC
 use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, pa10_joints};
 use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig};
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
-use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    Dialect, Firmware, GatewayState, MotionLimits, RejectReason, StopCause,
-};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{Firmware, GatewayState, MotionLimits, RejectReason, StopCause};
 use pb3dp_arm_pa10_test_support::bus_bench::{self, START, assert_held};
 use pb3dp_arm_pa10_test_support::chain::{ARM, Chain};
 use pb3dp_kinematics::JointVector;
@@ -20,17 +18,14 @@ const fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)
 }
 
-const EVERY: [(Dialect, WireFormat); 2] =
-    [(Dialect::GatewayV1, WireFormat::BigEndian6x10), (Dialect::Transparent, WireFormat::LittleEndian5x8)];
-
-fn connected(dialect: Dialect, format: WireFormat) -> Chain {
+fn connected(format: WireFormat) -> Chain {
     let start_rad = JointVector::from([0.1, 0.7, 0.2, 0.9, 0.1, 0.5, 0.1]);
     let plant = JointPlant::new(pa10_joints().unwrap(), start_rad, START).unwrap();
-    Chain::new(dialect, format, None, plant.with_mechanics(JointMechanics::default()).unwrap())
+    Chain::new(format, None, plant.with_mechanics(JointMechanics::default()).unwrap())
 }
 
-fn moving(dialect: Dialect, format: WireFormat) -> Chain {
-    let mut chain = connected(dialect, format);
+fn moving(format: WireFormat) -> Chain {
+    let mut chain = connected(format);
     chain.prepare();
     chain.wanted = Some(JointVector::from([0.1, -0.2, 0.1, 0.2, 0.3, 0.2, 0.3]));
     chain.next_host_cycle = chain.now;
@@ -93,10 +88,10 @@ fn restart(chain: &mut Chain, format: WireFormat) {
 
 #[test]
 fn an_outage_that_ends_at_any_step_of_the_stop_order_leaves_no_arm_moving() {
-    for (dialect, format) in EVERY {
+    for format in WireFormat::ALL {
         for outage_ms in (12..340).step_by(4).chain([600, 1000, 11_000]) {
             let place = format!("{format}, {outage_ms} ms");
-            let mut chain = moving(dialect, format);
+            let mut chain = moving(format);
             chain.inject("deaf 1000000");
             run_held(&mut chain, ms(outage_ms), &place);
             assert_eq!(latched(&chain), SILENT, "{place}");
@@ -114,10 +109,10 @@ fn an_outage_that_ends_at_any_step_of_the_stop_order_leaves_no_arm_moving() {
 
 #[test]
 fn an_outage_during_the_acknowledged_stop_order_does_not_end_it() {
-    for (dialect, format) in EVERY {
+    for format in WireFormat::ALL {
         for heartbeat_ms in (1..230).step_by(6) {
             let place = format!("{format}, heard for {heartbeat_ms} ms");
-            let mut chain = moving(dialect, format);
+            let mut chain = moving(format);
             for (time, deaf) in [(0, "deaf 1000000"), (700, "deaf 0"), (heartbeat_ms, "deaf 1000000"), (900, "deaf 0")]
             {
                 run_held(&mut chain, ms(time), &place);
@@ -133,10 +128,10 @@ fn an_outage_during_the_acknowledged_stop_order_does_not_end_it() {
 /// The controller was powered off and on, ignores C until S, and answers E.
 #[test]
 fn a_controller_that_was_switched_off_and_on_is_reset() {
-    for (dialect, format) in EVERY {
+    for format in WireFormat::ALL {
         for only_in_control in [false, true] {
             let place = format!("{format}, {only_in_control}");
-            let mut chain = moving(dialect, format);
+            let mut chain = moving(format);
             chain.inject("power off");
             chain.run(ms(1000));
             chain.only_in_control = only_in_control;
@@ -152,8 +147,8 @@ fn a_controller_that_was_switched_off_and_on_is_reset() {
 /// A silent arm receives no message that opens a brake or disables a servo.
 #[test]
 fn a_silent_arm_is_not_reset() {
-    for (dialect, format) in EVERY {
-        let mut chain = moving(dialect, format);
+    for format in WireFormat::ALL {
+        let mut chain = moving(format);
         chain.inject("deaf 1000000");
         chain.run(ms(1000));
         chain.wanted = None;
@@ -176,10 +171,10 @@ fn a_silent_arm_is_not_reset() {
 /// The bus recovers at any time of a reset: any message may be the first to arrive.
 #[test]
 fn a_bus_that_comes_back_during_a_reset_lets_no_joint_go() {
-    for (dialect, format) in EVERY {
+    for format in WireFormat::ALL {
         for after_ms in 0..120 {
             let place = format!("{format}, back after {after_ms} ms");
-            let mut chain = moving(dialect, format);
+            let mut chain = moving(format);
             chain.inject("deaf 1000000");
             run_held(&mut chain, ms(700), &place);
             chain.wanted = None;
@@ -198,10 +193,10 @@ fn a_bus_that_comes_back_during_a_reset_lets_no_joint_go() {
 /// A gateway that starts at a dead bus whose arm moves.
 #[test]
 fn an_arm_whose_answers_are_late_while_it_moves_is_stopped_and_latched() {
-    for (dialect, format) in EVERY {
+    for format in WireFormat::ALL {
         for after_ms in (0..330).step_by(4).chain([2000]) {
             let place = format!("{format}, back after {after_ms} ms");
-            let mut chain = moving(dialect, format);
+            let mut chain = moving(format);
             chain.inject("deaf 1000000");
             restart(&mut chain, format);
             run_held(&mut chain, ms(after_ms), &place);
@@ -223,10 +218,10 @@ fn an_arm_whose_answers_are_late_while_it_moves_is_stopped_and_latched() {
 /// A host requests the control mode when the bus of a moving arm recovers.
 #[test]
 fn a_start_at_a_silent_arm_releases_no_joint() {
-    for (dialect, format) in EVERY {
+    for format in WireFormat::ALL {
         for after_ms in 0..60 {
             let place = format!("{format}, back after {after_ms} ms");
-            let mut chain = moving(dialect, format);
+            let mut chain = moving(format);
             chain.inject("deaf 1000000");
             restart(&mut chain, format);
             run_held(&mut chain, ms(400), &place);
@@ -246,8 +241,8 @@ fn a_start_at_a_silent_arm_releases_no_joint() {
 /// A controller that is powered on after its gateway, and ignores C until S.
 #[test]
 fn a_controller_that_is_switched_on_later_is_started_at_once() {
-    for (dialect, format) in EVERY {
-        let mut chain = connected(dialect, format);
+    for format in WireFormat::ALL {
+        let mut chain = connected(format);
         chain.inject("power off");
         restart(&mut chain, format);
         chain.run(ms(1000));
@@ -266,9 +261,9 @@ fn a_controller_that_is_switched_on_later_is_started_at_once() {
 /// If C is answered only in the control mode, an arm that was left with open brakes is detected, too.
 #[test]
 fn an_arm_that_was_left_holding_is_latched_where_the_controller_shows_it() {
-    for (dialect, format) in EVERY {
+    for format in WireFormat::ALL {
         for only_in_control in [false, true] {
-            let mut chain = connected(dialect, format);
+            let mut chain = connected(format);
             chain.only_in_control = only_in_control;
             chain.prepare();
             restart(&mut chain, format);
@@ -288,8 +283,8 @@ fn an_arm_that_was_left_holding_is_latched_where_the_controller_shows_it() {
 /// A host disconnects in `started`, while the bus is dead.
 #[test]
 fn a_lost_end_letter_is_requested_again() {
-    for (dialect, format) in EVERY {
-        let mut chain = connected(dialect, format);
+    for format in WireFormat::ALL {
+        let mut chain = connected(format);
         chain.request(Request::Enable);
         chain.settle();
         chain.inject("deaf 4");

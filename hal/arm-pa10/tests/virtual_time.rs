@@ -16,7 +16,7 @@ use pb3dp_arm_pa10_emulation::mock_controller::{MockController, MockControllerCo
 use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig};
 use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmId, Dialect, Firmware, GatewayState, Geometry, HostLimits, MotionLimits, SharedKey,
+    ArmId, Firmware, GatewayState, Geometry, HostLimits, MotionLimits, SharedKey,
 };
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_test_support::plant_config::plant_config;
@@ -52,10 +52,8 @@ fn far_end(arm: u8, time: &Arc<VirtualTime>) -> VirtualEnd {
 fn connect(arm: u8, end: &VirtualEnd, time: &Arc<VirtualTime>, seat: TripSeat) -> Pa10Arm {
     let driver = DriverConfig { limits: LimitsCheck::Read, ..DriverConfig::with_cycle(CYCLE) };
     let geometry = Geometry::SecondGeneration;
-    let dialect = Dialect::GatewayV1;
     let link = GatewayLinkConfig {
         arm: ArmId(arm),
-        dialect,
         format: FORMAT,
         geometry,
         cycle: CYCLE,

@@ -87,7 +87,6 @@ impl Files {
                 ("gateway.address", addresses[arm].to_string().into()),
                 ("gateway.key_file", self.path("arm.key").display().to_string().into()),
                 ("gateway.arm", (arm as i64 + 1).into()),
-                ("gateway.dialect", "gateway-v1".into()),
                 ("gateway.wire_format", "B".into()),
                 ("gateway.geometry", "second-generation".into()),
             ] {

@@ -115,7 +115,7 @@ fn numbers_for_another_count_of_joints_and_arms_that_are_not_there_are_refused()
     assert!(message.contains("arms.carries_target is the same"), "{message}");
     let message = refused("ur5e", "least_room_mm = 50.0", "least_room_mn = 50.0");
     assert!(message.contains("arms.least_room_mn: unknown key"), "{message}");
-    let gateway = "backend = \"emulated\"\ngateway = { arm = 1, dialect = \"gateway-v1\", wire_format = \"B\", geometry = \"unknown\" }\nrobot = \"../robots/ur5e";
+    let gateway = "backend = \"emulated\"\ngateway = { arm = 1, wire_format = \"B\", geometry = \"unknown\" }\nrobot = \"../robots/ur5e";
     let message = refused("ur5e", "backend = \"mock\"\nrobot = \"../robots/ur5e", gateway);
     assert!(message.contains("has 6 joints; a PA-10, which is what arms.ur5e.backend drives, has 7"), "{message}");
     let message = refused("ur5e", "base_link = \"base_link\"", "base_lnk = \"base_link\"");

@@ -1,4 +1,4 @@
-//! What differs between the workcells of the runs: wire format, dialect and speeds, and drives that differ from their model.
+//! What differs between the workcells of the runs: wire format and speeds, and drives that differ from their model.
 
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
@@ -42,8 +42,6 @@ pub enum Line {
 pub struct Settings {
     /// Wire format of both controllers.
     pub wire_format: &'static str,
-    /// Dialect of both gateways.
-    pub dialect: &'static str,
     /// Share of the drives' speeds, percent.
     pub speed_percent: u32,
     /// Lines to both gateways.
@@ -54,11 +52,10 @@ pub struct Settings {
 
 impl Settings {
     /// Its properties, for tables.
-    pub fn properties(&self) -> [&'static str; 4] {
-        let Self { wire_format, dialect, line, has_six_axes, .. } = self;
+    pub fn properties(&self) -> [&'static str; 3] {
+        let Self { wire_format, line, has_six_axes, .. } = self;
         [
             if *wire_format == "A" { "wire format A" } else { "wire format B" },
-            if *dialect == "transparent" { "dialect transparent" } else { "dialect gateway-v1" },
             match line {
                 Line::Serial => "lines without a key",
                 Line::Keyed => "lines with a key",
@@ -188,13 +185,7 @@ pub struct Workcell {
 impl Default for Workcell {
     /// The workcell of `configs/hil.toml`, exactly known.
     fn default() -> Self {
-        let settings = Settings {
-            wire_format: "B",
-            dialect: "gateway-v1",
-            speed_percent: 60,
-            line: Line::Serial,
-            has_six_axes: false,
-        };
+        let settings = Settings { wire_format: "B", speed_percent: 60, line: Line::Serial, has_six_axes: false };
         Self { settings, lag: [1.0; 2], model_delay: 1.0, start: None, differences: None }
     }
 }
@@ -206,7 +197,6 @@ impl Workcell {
         const FACTOR: f64 = 2.0;
         let settings = Settings {
             wire_format: dice.pick(&["B", "A"]),
-            dialect: dice.pick(&["gateway-v1", "transparent"]),
             speed_percent: dice.pick(&[60, 60, 60, 25, 10]),
             line: Line::Serial,
             has_six_axes: false,
@@ -283,14 +273,11 @@ impl Setups {
 }
 
 fn read(settings: Settings, rendered: bool) -> Result<Setup> {
-    let Settings { wire_format, dialect, speed_percent, line, has_six_axes } = settings;
-    let of_arm = |arm: &str| {
-        let gateway = format!("arms.{arm}.gateway");
-        [format!("{gateway}.wire_format=\"{wire_format}\""), format!("{gateway}.dialect=\"{dialect}\"")]
-    };
+    let Settings { wire_format, speed_percent, line, has_six_axes } = settings;
+    let formats = ["vs", "tc"].map(|arm| format!("arms.{arm}.gateway.wire_format=\"{wire_format}\""));
     let speed = format!("arms.speed_scale={}", f64::from(speed_percent) / 100.0);
     let six_axes = has_six_axes.then(|| "arms.carries_cameras=\"ur5e\"".to_owned());
-    let set = [of_arm("vs"), of_arm("tc")].concat().into_iter().chain([speed]).chain(six_axes).collect();
+    let set = formats.into_iter().chain([speed]).chain(six_axes).collect();
     let args = SetupArgs { configs: vec![repository().join("configs/hil.toml")], set, ..SetupArgs::default() };
     let mut setup = read_layers(&args).with_context(|| format!("configs/hil.toml with {settings:?}"))?;
     setup.pace = Pace::Fast;

@@ -87,10 +87,7 @@ pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
         }
     }
     if choice.of(&setup).link == ArmLink::InProcess {
-        bail!(
-            "{}.backend = \"mock\" has no arm to move; set emulated, serial, tcp, local or arcnet",
-            choice.of(&setup).key
-        );
+        bail!("{}.backend = \"mock\" has no arm to move; set emulated, serial, tcp or local", choice.of(&setup).key);
     }
     if args.moves && !choice.of(&setup).link.is_toy() {
         confirm::need_no_button(&setup)?;

@@ -3,14 +3,14 @@
 use std::time::Duration;
 
 use pb3dp_arm_pa10::arm::{ArmMonitor, ArmSnapshot};
-use pb3dp_arm_pa10::driver::{ArmCondition, AxisLimits, FaultCause, Trip};
+use pb3dp_arm_pa10::driver::{ArmCondition, AxisLimits};
 use pb3dp_arm_pa10_protocol::codec::{Axis, AxisStatus, CommStatus, WireFormat};
-use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, HelloReply};
+use pb3dp_arm_pa10_protocol::gateway_protocol::HelloReply;
 use pb3dp_cell::parts::ArmChoice;
 use pb3dp_hal_platform::jitter::Jitter;
 use pb3dp_setup::setup::{ArmLink, ArmSetup};
 use pb3dp_wiring::commissioning::{LIMITS_TOLERANCE_DEG, is_of_another_format};
-use pb3dp_wiring::{bus_doubts, geometry_doubt, watchdog_refusal};
+use pb3dp_wiring::{geometry_doubt, watchdog_refusal};
 use serde::Serialize;
 
 /// Largest share of lost messages on a link, percent.
@@ -45,7 +45,6 @@ pub struct ProbeReport {
 #[derive(Debug, Serialize)]
 pub struct GatewayFacts {
     firmware: String,
-    dialect: String,
     /// Determined by the length of the controller's replies; none before the first one.
     wire_format: Option<String>,
     geometry: String,
@@ -146,10 +145,6 @@ impl ProbeReport {
         if let Some(hello) = &snapshot.gateway {
             judge_gateway(arm, hello, self);
         }
-        if let ArmLink::Bus(link) = &arm.link {
-            bus_doubts(link).for_each(|doubt| self.warn(doubt));
-            judge_silence(&snapshot, self);
-        }
         self.joints = Axis::ALL.map(|axis| joint(arm, &snapshot, axis, self)).into();
         self.controller_word = snapshot.sample.or(snapshot.shown).map(|sample| controller(&sample.condition, self));
         self.link = Some(link(&snapshot, monitor, self));
@@ -168,9 +163,6 @@ fn judge_stop(snapshot: &ArmSnapshot, report: &mut ProbeReport) {
             let seconds = shown.age.as_secs_f64();
             report.warn(format!("joints and status words are {seconds:.1} s old: the gateway does not measure now"));
         }
-        (None, None, Some(gateway)) if gateway.dialect == Dialect::Transparent => report.warn(
-            "no joints: in the dialect transparent the gateway reports none for a stopped arm; reset it, or probe in gateway-v1",
-        ),
         (None, None, Some(_)) => {
             report.warn("no joints: the gateway has no measurement since its start; reset the arm");
         }
@@ -186,17 +178,6 @@ fn judge_stop(snapshot: &ArmSnapshot, report: &mut ProbeReport) {
 }
 
 /// Detects a controller that answers, but not to cyclic commands.
-fn judge_silence(snapshot: &ArmSnapshot, report: &mut ProbeReport) {
-    let is_lost = |trip| matches!(trip, Trip::Fault(FaultCause::LinkLost { .. }));
-    let is_silent = snapshot.latched.is_some_and(|latched| is_lost(latched.trip));
-    if is_silent && snapshot.sample.is_none() && snapshot.counters.answered > 0 {
-        report.refuse(
-            "the controller answers, but not to cyclic commands: it may use the other wire format; try the other wire_format"
-                .to_owned(),
-        );
-    }
-}
-
 fn judge_gateway(arm: &ArmSetup, hello: &HelloReply, report: &mut ProbeReport) {
     if hello.controller_watchdog_us == 0 {
         report.warn("the controller's watchdog is not set at the gateway: measure it on the rig");
@@ -217,7 +198,6 @@ impl GatewayFacts {
         let ms = |us: u32| f64::from(us) / 1e3;
         Self {
             firmware: hello.firmware.as_str().to_owned(),
-            dialect: hello.dialect.to_string(),
             wire_format: hello.wire_format.map(|format: WireFormat| format.to_string()),
             geometry: hello.geometry.to_string(),
             state: hello.state.to_string(),
@@ -400,11 +380,7 @@ impl std::fmt::Display for ProbeReport {
 impl std::fmt::Display for GatewayFacts {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let format = self.wire_format.as_deref().unwrap_or("format unknown yet");
-        writeln!(
-            f,
-            "gateway: {:?}, {}, {format}, geometry {}, {}",
-            self.firmware, self.dialect, self.geometry, self.state
-        )?;
+        writeln!(f, "gateway: {:?}, {format}, geometry {}, {}", self.firmware, self.geometry, self.state)?;
         let controller = self.controller_watchdog_ms.map_or("unknown".to_owned(), |ms| format!("{ms} ms"));
         write!(
             f,

@@ -138,7 +138,7 @@ pub(super) fn run(args: &VisitArgs, program: Program) -> Result<ExitCode> {
     // Arms and cameras are connected; all brakes stay on.
     let Wired { mut parts, monitors, .. } = wire_to_look(&setup, patience)?;
     let Some(wanted) = wanted else {
-        let was_interrupted = watch(signals, &parts.interrupt, std::mem::take(&mut parts.on_bus), program.final_flush)?;
+        let was_interrupted = watch(signals, &parts.interrupt, program.final_flush)?;
         let output = args.output(&setup, program, &parts)?;
         visit_run::record_here(&setup, parts, patience, output, date)?;
         if was_interrupted.load(Ordering::SeqCst) {
@@ -157,7 +157,7 @@ pub(super) fn run(args: &VisitArgs, program: Program) -> Result<ExitCode> {
         false => Some(confirm::confirmed(tour.choice.name(), Some(setup.operator_key_within), &mut signals)?),
     };
     let output = args.output(&setup, program, &parts)?;
-    let was_interrupted = watch(signals, &parts.interrupt, std::mem::take(&mut parts.on_bus), program.final_flush)?;
+    let was_interrupted = watch(signals, &parts.interrupt, program.final_flush)?;
     let (clock, flights) = (Arc::clone(&parts.clock), parts.flights.clone());
     let listen = |console| confirm::attend(console, setup.operator_key_within, &parts, std::io::stdout());
     let attended = person.map(listen).transpose()?;

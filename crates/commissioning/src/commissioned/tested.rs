@@ -5,10 +5,13 @@ use std::collections::BTreeMap;
 use pb3dp_arm_pa10_protocol::codec::{Signal, StatusSignals};
 use pb3dp_arm_pa10_protocol::gateway_protocol::HelloReply;
 use pb3dp_kinematics::DOF;
-use pb3dp_setup::setup::{ArmLink, ArmSetup};
+use pb3dp_setup::setup::ArmSetup;
 use serde::{Deserialize, Serialize};
 
 use super::SAME_DEG;
+
+/// What records of earlier versions call the messages between host and gateway.
+const MESSAGES: &str = "gateway-v1";
 
 /// Settings of the setup that decide what the steps test. They are compared before a port opens.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -18,8 +21,9 @@ pub struct SetupSettings {
     signals: BTreeMap<String, String>,
     /// Wire format of the controller.
     wire_format: String,
-    /// Dialect of the gateway.
-    dialect: String,
+    /// Messages between host and gateway, in records of earlier versions.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    dialect: Option<String>,
     /// Operating range of each axis, degrees. A narrower one was tested, too.
     operating_range_deg: Vec<[f64; 2]>,
 }
@@ -73,10 +77,7 @@ impl SetupSettings {
         let settings = Self {
             signals: BTreeMap::new(),
             wire_format: arm.link.format().map(|format| format.to_string()).unwrap_or_default(),
-            dialect: match &arm.link {
-                ArmLink::Gateway(link, _) => link.dialect.to_string(),
-                ArmLink::InProcess | ArmLink::Bus(_) => String::new(),
-            },
+            dialect: None,
             operating_range_deg: (0..DOF).map(ends).collect(),
         };
         settings.with_signals(&signals)
@@ -103,8 +104,8 @@ impl SetupSettings {
         if self.wire_format != found.wire_format {
             return Some(changed("wire_format", &self.wire_format, &found.wire_format));
         }
-        if self.dialect != found.dialect {
-            return Some(changed("dialect", &self.dialect, &found.dialect));
+        if let Some(other) = self.dialect.as_deref().filter(|dialect| *dialect != MESSAGES) {
+            return Some(changed("the dialect of the gateway", &other, &MESSAGES));
         }
         wider("operating_range_deg", &self.operating_range_deg, &found.operating_range_deg)
     }
@@ -151,7 +152,7 @@ pub(super) mod tests {
         SetupSettings {
             signals: BTreeMap::new(),
             wire_format: "format B".to_owned(),
-            dialect: "gateway-v1".to_owned(),
+            dialect: None,
             operating_range_deg: vec![[-170.0, 160.0]; DOF],
         }
         .with_signals(&StatusSignals::ORCA)
@@ -171,14 +172,13 @@ pub(super) mod tests {
     #[test]
     fn each_setting_that_a_step_has_tested_is_compared() {
         assert_eq!(setup_settings().difference(&setup_settings()), None);
-        let changes: [Change<SetupSettings>; 5] = [
+        let changes: [Change<SetupSettings>; 4] = [
             (
                 |new| *new.signals.get_mut("emergency_stop").unwrap() = "controller 0x0010 set".to_owned(),
                 "signals.emergency_stop is \"controller 0x0010 set\", its steps were passed with \"controller ",
             ),
             (|new| *new.signals.get_mut("dead_man").unwrap() = "absent".to_owned(), "signals.dead_man is \"absent\""),
             (|new| new.wire_format = "format A".to_owned(), "wire_format is format A"),
-            (|new| new.dialect = "transparent".to_owned(), "dialect is transparent"),
             (
                 |new| new.operating_range_deg[3][1] = 161.0,
                 "operating_range_deg of axis 4 is -170 to 161 degrees, its steps were passed with -170 to 160",
@@ -193,6 +193,11 @@ pub(super) mod tests {
         let mut narrower = setup_settings();
         narrower.operating_range_deg[3] = [-160.0, 150.0];
         assert_eq!(setup_settings().difference(&narrower), None);
+        // A record of an earlier version says with which messages its steps were passed.
+        let earlier = |dialect: &str| SetupSettings { dialect: Some(dialect.to_owned()), ..setup_settings() };
+        assert_eq!(earlier("gateway-v1").difference(&setup_settings()), None);
+        let difference = earlier("transparent").difference(&setup_settings()).unwrap();
+        assert!(difference.contains("dialect of the gateway is gateway-v1"), "{difference}");
     }
 
     #[test]

@@ -115,10 +115,10 @@ fn delay(args: &DelayArgs) -> Result<ExitCode> {
     };
     // Before anything moves: the flight recorder must exist when an arm stops.
     std::fs::create_dir_all(&args.out).with_context(|| format!("{}: cannot be created", args.out.display()))?;
-    let Wired { mut parts, monitors, .. } = wire_at_rest(&setup, swing::duration(&motion))?;
+    let Wired { parts, monitors, .. } = wire_at_rest(&setup, swing::duration(&motion))?;
     records.iter().try_for_each(|record| record.check(&monitors))?;
     let interrupt = Arc::clone(&parts.interrupt);
-    let was_interrupted = watch(signals, &interrupt, std::mem::take(&mut parts.on_bus), final_flush)?;
+    let was_interrupted = watch(signals, &interrupt, final_flush)?;
     let (clock, flights) = (Arc::clone(&parts.clock), parts.flights.clone());
     // Standard output is for the result.
     let listen = |console| confirm::attend(console, setup.operator_key_within, &parts, std::io::stderr());

@@ -67,7 +67,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     }
     let started = Instant::now();
     let interrupt = Arc::clone(&parts.interrupt);
-    let was_interrupted = watch(signals, &interrupt, std::mem::take(&mut parts.on_bus), final_flush)?;
+    let was_interrupted = watch(signals, &interrupt, final_flush)?;
     let (clock, flights) = (Arc::clone(&parts.clock), parts.flights.clone());
     let out = args.out.clone();
     let keep_flights = move |number: usize, failure: &anyhow::Error| {

@@ -104,9 +104,7 @@ pub fn setup_behind(backend: &str, keys: &str) -> TempDir {
 pub fn complete_hil() -> String {
     let sim = std::fs::read_to_string(repository().join("configs/sim.toml")).unwrap();
     let gateway = |arm: &str, number: u32| {
-        format!(
-            "[arms.{arm}.gateway]\narm = {number} \ndialect = \"gateway-v1\" \nwire_format = \"B\" \ngeometry = \"second-generation\" \n\n"
-        )
+        format!("[arms.{arm}.gateway]\narm = {number} \nwire_format = \"B\" \ngeometry = \"second-generation\" \n\n")
     };
     [
         ("pace = \"fast\"", "pace = \"live\"".to_owned()),
@@ -219,9 +217,7 @@ fn a_probe_says_what_does_not_fit_and_what_to_do() {
 fn what_a_gateway_says_of_itself_is_in_the_log() {
     programs_in_real_time_beside_others(|| {
         let finished = pb3dp_arm(&hil(), &["probe", "--exchanges", "20"], None).assert_success();
-        for part in
-            ["vs-robot: gateway \"pb3dp emulation\"", "gateway-v1", "geometry second-generation", "stopped after 50 ms"]
-        {
+        for part in ["vs-robot: gateway \"pb3dp emulation\"", "geometry second-generation", "stopped after 50 ms"] {
             assert!(finished.stderr.contains(part), "{part:?} is missing in:\n{}", finished.stderr);
         }
         assert!(!finished.stderr.contains("the arm geometry is not set"), "{}", finished.stderr);

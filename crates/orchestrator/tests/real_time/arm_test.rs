@@ -132,8 +132,6 @@ fn what_can_not_be_tested_is_refused_before_anything_happens() {
     refused(&hil(), &["--skip", "comms,jog,e-stop,cable,kill"], &["no step is left"]);
     let sim = crate::cli::support::repository().join("configs/sim.toml").display().to_string();
     refused(&sim, &["--operator", "emulated"], &["arms.vs.backend is not \"emulated\""]);
-    crate::real_time::arm_on_bus::with_bus(&real, "arcnet:arc0", &crate::real_time::arm_on_bus::keys("B", "2.0"));
-    refused(&config, &[], &["arms.vs.backend = \"arcnet\" has no gateway", "by hand"]);
     // The way back or there leads out of the operating range.
     let cell = Cell::start(&["--pose-deg", "0,80,0,97,0,-50,0"]);
     let far = cell.pb3dp(&["test", "--axis", "2", "--by", "9", "--move"], Some("vs-robot"));

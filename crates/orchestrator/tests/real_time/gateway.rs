@@ -12,10 +12,10 @@ use std::time::{Duration, Instant};
 
 use crate::cli::support::key_file;
 use pb3dp_arm_pa10::arm::{KeyedTcp, read_shared_key};
-use pb3dp_arm_pa10::bus::{BusPort, FRAME_ROOM, FrameListener};
 use pb3dp_arm_pa10::driver::{DriverState, Request};
 use pb3dp_arm_pa10_emulation::mock_controller::ControlMode;
-use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, StopCause};
+use pb3dp_arm_pa10_gateway::bus::{BusPort, FRAME_ROOM, FrameListener};
+use pb3dp_arm_pa10_protocol::gateway_protocol::StopCause;
 use pb3dp_arm_pa10_test_support::world::{self, ARM, Emulation, Host, LONG, ms};
 use pb3dp_hal_platform::tcp::TcpConfig;
 use pb3dp_hal_platform::transport::Connector;
@@ -103,7 +103,7 @@ impl Scene {
         let key = read_shared_key(&key_file()).unwrap();
         let mut gateway = KeyedTcp { tcp: TcpConfig { address }, key, arm: ARM };
         let link = wait_for("the gateway listens", || gateway.connect().ok());
-        let host = Host::new(link, Dialect::GatewayV1);
+        let host = Host::new(link);
         Self { child, emulation, host, folder, log_before_stop: None }
     }
 

@@ -24,7 +24,7 @@ use super::super::arm_backend::ArmBackend;
 use super::super::layers::built_in;
 use super::super::load::{Checker, within};
 use super::geometry::check_geometry;
-use super::link::{ArmLink, BusSection, GatewaySection};
+use super::link::{ArmLink, GatewaySection};
 use super::shape::{PartEntry, build_shape};
 use super::{IN_THE_CELL_MM, PoseEntry, millis};
 
@@ -142,7 +142,6 @@ fn yes() -> bool {
 pub(super) struct ArmSection {
     backend: ArmBackend,
     gateway: Option<GatewaySection>,
-    bus: Option<BusSection>,
     robot: String,
     base_link: String,
     flange_link: String,
@@ -186,7 +185,7 @@ fn fade(link: &ArmLink) -> Option<CommandFade> {
     let watchdog = CommandWatchdog::default();
     match link {
         ArmLink::InProcess => None,
-        ArmLink::Gateway(..) | ArmLink::Bus(_) => {
+        ArmLink::Gateway(..) => {
             Some(CommandFade { begins_after: watchdog.ramp_after(), ends_after: watchdog.stop_after() })
         }
     }
@@ -197,7 +196,7 @@ impl ArmsSection {
     pub(super) fn has_link(&self, tables: &ArmTables) -> bool {
         let names = [&self.carries_cameras, &self.carries_target];
         let mut arms = names.into_iter().filter_map(|name| tables.get(name));
-        arms.any(|arm| arm.gateway.is_some() || arm.bus.is_some())
+        arms.any(|arm| arm.gateway.is_some())
     }
 
     /// All arms; `None` if a file cannot be read or a limit is refused.
@@ -313,7 +312,7 @@ fn range_rad(range_deg: &[f64]) -> JointVector {
 
 impl ArmSection {
     fn build(&self, key: &str, all: &ArmsSection, control_period_millis: f64, check: &mut Checker) -> Option<ArmSetup> {
-        let link = self.backend.link((self.gateway.as_ref(), self.bus.as_ref()), (key, control_period_millis), check);
+        let link = self.backend.link(self.gateway.as_ref(), (key, control_period_millis), check);
         let accelerations = &self.acceleration_max_rad_per_s2;
         check_accelerations(key, accelerations, check);
         check.numbers(&format!("{key}.jerk_max_rad_per_s3"), &self.jerk_max_rad_per_s3, 0.1..=10_000.0);
@@ -409,14 +408,6 @@ impl ArmSection {
         let timeout = self.command_timeout_millis;
         let least = self.backend.goes_on_millis(control_period_millis);
         check.number(&format!("{key}.command_timeout_millis"), timeout, least..=200.0);
-        let time_out = self.bus.as_ref().map_or(0.0, BusSection::controller_time_out_millis);
-        if time_out > timeout {
-            check.refuse(format!(
-                "{key}.bus.controller_time_out_millis = {time_out}: the arm may go on for longer after its last command than \
-                 {key}.command_timeout_millis = {timeout}, for which the limiter leaves room; raise that, up to 200, or put a \
-                 gateway before the arm (docs/gateway.md)"
-            ));
-        }
     }
 
     /// Every list must have one number per joint of the robot, and every part must belong to an existing joint.

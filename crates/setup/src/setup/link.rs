@@ -1,10 +1,8 @@
-//! Links to an arm: the key `backend` of an arm, and its table `gateway` or `bus`.
+//! Links to an arm: the key `backend` of an arm, and its table `gateway`.
 
-use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, Signal, SignalSource, StatusSignals, Supervision, WireFormat};
-use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmId, BRAKE_TIME_MAX, Dialect, Geometry, HostLimits, LimitOutOfRange, check_line,
-};
-use pb3dp_arm_pa10_protocol::places::{BusTarget, GatewayLinkConfig};
+use pb3dp_arm_pa10_protocol::codec::{Signal, SignalSource, StatusSignals, WireFormat};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Geometry, HostLimits, LimitOutOfRange, check_line};
+use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 use pb3dp_hal_platform::local_socket::LocalConfig;
 use pb3dp_hal_platform::tcp::TcpConfig;
@@ -15,21 +13,19 @@ use std::time::Duration;
 
 use super::super::arm_backend::ArmBackend;
 use super::super::load::{Checker, whole};
-use super::super::names::{FormatName, GeometryName, sequence_modulus};
-use super::millis;
+use super::super::names::{FormatName, GeometryName};
 
 /// Longest host cycle that a gateway accepts, milliseconds.
 pub(super) const GATEWAY_CYCLE_MAX_MILLIS: f64 = 10.0;
 
 /// Link to an arm.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[allow(clippy::large_enum_variant, reason = "a setup has two")]
 pub enum ArmLink {
     /// None: the joints are simulated in the process.
     InProcess,
     /// Through a gateway.
     Gateway(GatewayLinkConfig, GatewayWay),
-    /// An ARCNET card of this computer.
-    Bus(BusLinkConfig),
 }
 
 impl ArmLink {
@@ -50,31 +46,6 @@ impl ArmLink {
     pub fn is_toy(&self) -> bool {
         matches!(self, Self::InProcess | Self::Gateway(_, GatewayWay::Emulated))
     }
-}
-
-/// A bus of this computer and the servo controller on it.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct BusLinkConfig {
-    /// Role of the arm in the workcell.
-    pub arm: ArmId,
-    /// Port of the bus.
-    pub target: BusTarget,
-    /// Wire format of the controller.
-    pub format: WireFormat,
-    /// Sequence numbers of the controller.
-    pub modulus: SequenceModulus,
-    /// Time between two messages on the bus.
-    pub cycle: Duration,
-    /// The geometry of the arm.
-    pub geometry: Geometry,
-    /// Time that brakes take to open, and to close.
-    pub brake_time: Duration,
-    /// Supervision by the controller itself (format B).
-    pub supervision: Supervision,
-    /// How the signals of the arm are noticed.
-    pub signals: StatusSignals,
-    /// Time-out of the controller, if it is known.
-    pub controller_time_out: Option<Duration>,
 }
 
 /// Connection to a gateway.
@@ -102,25 +73,11 @@ pub enum GatewayWay {
 
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct BusSection {
-    arm: i64,
-    port: String,
-    wire_format: FormatName,
-    geometry: GeometryName,
-    sequence_numbers: i64,
-    cycle_millis: f64,
-    brake_millis: f64,
-    signals: Option<SignalsSection>,
-    supervise_other_axes: bool,
-    supervise_dead_man: bool,
-    controller_time_out_millis: f64,
-}
-
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub(super) struct GatewaySection {
     arm: i64,
-    dialect: DialectName,
+    /// In setups of earlier versions.
+    #[serde(rename = "dialect")]
+    _dialect: Option<DialectName>,
     wire_format: FormatName,
     geometry: GeometryName,
     port: Option<String>,
@@ -144,7 +101,6 @@ pub struct SignalsSection {
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 enum DialectName {
-    Transparent,
     GatewayV1,
 }
 
@@ -156,7 +112,6 @@ impl ArmBackend {
             Self::Serial => "serial",
             Self::Tcp => "tcp",
             Self::Local => "local",
-            Self::Arcnet => "arcnet",
         }
     }
 
@@ -165,7 +120,7 @@ impl ArmBackend {
     pub(super) fn goes_on_millis(self, control_period_millis: f64) -> f64 {
         match self {
             Self::Mock => control_period_millis,
-            Self::Emulated | Self::Serial | Self::Tcp | Self::Local | Self::Arcnet => {
+            Self::Emulated | Self::Serial | Self::Tcp | Self::Local => {
                 CommandWatchdog::default().stop_after().as_secs_f64() * 1e3
             }
         }
@@ -174,25 +129,18 @@ impl ArmBackend {
     /// The link of the arm; `None` if something is refused. `key` is the table of the arm.
     pub(super) fn link(
         self,
-        (gateway, bus): (Option<&GatewaySection>, Option<&BusSection>),
+        gateway: Option<&GatewaySection>,
         (key, control_period_millis): (&str, f64),
         check: &mut Checker,
     ) -> Option<ArmLink> {
-        let refuse = |table: &str, why: &str, check: &mut Checker| {
-            check.refuse(format!("{key}.{table}: {why}"));
-            None
-        };
-        let needless = format!("an arm with backend = \"{}\" has none; remove the table", self.name());
-        let missing = "missing; docs/hil.md explains it";
-        match (self, gateway, bus) {
-            (Self::Mock, None, None) => Some(ArmLink::InProcess),
-            (Self::Mock | Self::Arcnet, Some(_), _) => refuse("gateway", &needless, check),
-            (Self::Arcnet, None, Some(bus)) => bus.build((key, control_period_millis), check),
-            (Self::Arcnet, None, None) => refuse("bus", missing, check),
-            (_, _, Some(_)) => refuse("bus", &needless, check),
-            (_, None, None) => refuse("gateway", missing, check),
-            (way, Some(gateway), None) => gateway.build(way, (key, control_period_millis), check),
+        match (self, gateway) {
+            (Self::Mock, None) => return Some(ArmLink::InProcess),
+            (Self::Mock, Some(_)) => check
+                .refuse(format!("{key}.gateway: an arm with backend = \"{}\" has none; remove the table", self.name())),
+            (_, None) => check.refuse(format!("{key}.gateway: missing; docs/hil.md explains it")),
+            (way, Some(gateway)) => return gateway.build(way, (key, control_period_millis), check),
         }
+        None
     }
 }
 
@@ -202,7 +150,6 @@ impl ArmLink {
         match self {
             Self::InProcess => None,
             Self::Gateway(link, _) => Some((link.arm, "gateway")),
-            Self::Bus(link) => Some((link.arm, "bus")),
         }
     }
 
@@ -211,7 +158,6 @@ impl ArmLink {
         match self {
             Self::InProcess => None,
             Self::Gateway(link, _) => Some((link.signals, "gateway")),
-            Self::Bus(link) => Some((link.signals, "bus")),
         }
     }
 
@@ -220,7 +166,6 @@ impl ArmLink {
         match self {
             Self::InProcess => {}
             Self::Gateway(link, _) => link.signals = StatusSignals::UNKNOWN,
-            Self::Bus(link) => link.signals = StatusSignals::UNKNOWN,
         }
     }
 
@@ -229,7 +174,6 @@ impl ArmLink {
         match self {
             Self::InProcess => None,
             Self::Gateway(link, _) => Some(link.format),
-            Self::Bus(link) => Some(link.format),
         }
     }
 
@@ -238,7 +182,6 @@ impl ArmLink {
         match self {
             Self::InProcess => None,
             Self::Gateway(link, _) => Some((link.geometry, "gateway")),
-            Self::Bus(link) => Some((link.geometry, "bus")),
         }
     }
 }
@@ -275,66 +218,6 @@ impl SignalsSection {
     }
 }
 
-impl BusSection {
-    /// Time-out of the controller, milliseconds; 0 if it is unknown.
-    pub(super) fn controller_time_out_millis(&self) -> f64 {
-        self.controller_time_out_millis
-    }
-
-    fn build(&self, (key, control_period_millis): (&str, f64), check: &mut Checker) -> Option<ArmLink> {
-        let key = format!("{key}.bus");
-        check.count(&format!("{key}.arm"), self.arm, 0..=255);
-        // Three missing replies must be detected in time; the control loop is no faster than the bus.
-        check.number(&format!("{key}.cycle_millis"), self.cycle_millis, 1.0..=control_period_millis);
-        let brake_millis_max = BRAKE_TIME_MAX.as_secs_f64() * 1e3;
-        check.number(&format!("{key}.brake_millis"), self.brake_millis, 1.0..=brake_millis_max);
-        let time_out_millis = self.controller_time_out_millis;
-        check.number(&format!("{key}.controller_time_out_millis"), time_out_millis, 0.0..=60_000.0);
-        self.check_format(&key, check);
-        let signals = SignalsSection::of(self.signals.as_ref(), (&key, self.wire_format), check);
-        if let Some(signal) = signals.from(SignalSource::Wired).next() {
-            let key = format!("{key}.signals.{}", signal.key());
-            check.refuse(format!(
-                "{key} = \"wired\": a bus has no gateway with inputs; state the bits of a status word"
-            ));
-        }
-        let modulus = sequence_modulus(&format!("{key}.sequence_numbers"), self.sequence_numbers, check);
-        let target: Result<BusTarget, _> = self.port.parse();
-        if let Err(why) = &target {
-            check.refuse(format!("{key}.port: {why}"));
-        }
-        Some(ArmLink::Bus(BusLinkConfig {
-            arm: ArmId(whole(self.arm)),
-            target: target.ok()?,
-            format: self.wire_format.into(),
-            modulus,
-            cycle: Duration::from_secs_f64(self.cycle_millis.clamp(1.0, 10.0) * 1e-3),
-            geometry: self.geometry.into(),
-            brake_time: millis(self.brake_millis),
-            supervision: Supervision { other_axes: self.supervise_other_axes, dead_man: self.supervise_dead_man },
-            signals,
-            controller_time_out: (time_out_millis > 0.0).then(|| millis(time_out_millis)),
-        }))
-    }
-
-    /// Format A has no field for some settings.
-    fn check_format(&self, key: &str, check: &mut Checker) {
-        if self.wire_format != FormatName::A {
-            return;
-        }
-        for (name, wanted) in
-            [("supervise_other_axes", self.supervise_other_axes), ("supervise_dead_man", self.supervise_dead_man)]
-        {
-            if wanted {
-                check.refuse(format!(
-                    "{key}.{name} = true: supervision by the controller exists in format B only; set false, or wire_format = \"B\" \
-                     if the arm speaks it"
-                ));
-            }
-        }
-    }
-}
-
 fn tcp_place(key: &str, text: &str, check: &mut Checker) -> Option<TcpConfig> {
     let address = text.parse();
     if address.is_err() {
@@ -353,7 +236,6 @@ impl ArmLink {
             Self::Gateway(_, GatewayWay::Serial { path, .. }) => Some(("gateway.port", path.clone())),
             Self::Gateway(_, GatewayWay::Tcp { tcp, .. }) => Some(("gateway.address", tcp.address.to_string())),
             Self::Gateway(_, GatewayWay::Local(local)) => Some(("gateway.socket", local.path.display().to_string())),
-            Self::Bus(bus) => Some(("bus.port", bus.target.to_string())),
             Self::InProcess | Self::Gateway(_, GatewayWay::Emulated) => None,
         }
     }
@@ -370,10 +252,6 @@ impl GatewaySection {
         let cycle = Duration::from_secs_f64(control_period_millis * 1e-3);
         let link = GatewayLinkConfig {
             arm: ArmId(whole(self.arm)),
-            dialect: match self.dialect {
-                DialectName::Transparent => Dialect::Transparent,
-                DialectName::GatewayV1 => Dialect::GatewayV1,
-            },
             format: self.wire_format.into(),
             geometry: self.geometry.into(),
             cycle,
@@ -392,8 +270,7 @@ impl GatewaySection {
             (ArmBackend::Emulated, None, None, None, None) => GatewayWay::Emulated,
             (ArmBackend::Serial, Some(path), Some(baud), None, None) => {
                 check.count(&format!("{key}.gateway.baud"), baud, 9600..=12_000_000);
-                let (dialect, format) = (link.dialect, link.format);
-                if let (1.., Err(why)) = (baud, check_line(dialect, format, whole(baud), cycle)) {
+                if let (1.., Err(why)) = (baud, check_line(whole(baud), cycle)) {
                     check.refuse(format!("{key}.gateway.baud: {why}"));
                 }
                 GatewayWay::Serial { path: path.clone(), baud: whole(baud) }
@@ -419,9 +296,7 @@ impl GatewaySection {
             ArmBackend::Serial => (&["port", "baud"], "port and baud"),
             ArmBackend::Tcp => (&["address", "key_file"], "address and key_file"),
             ArmBackend::Local => (&["socket"], "socket"),
-            ArmBackend::Mock | ArmBackend::Emulated | ArmBackend::Arcnet => {
-                (&[], "no port, baud, address, key_file or socket")
-            }
+            ArmBackend::Mock | ArmBackend::Emulated => (&[], "no port, baud, address, key_file or socket"),
         };
         let stated = [
             ("port", self.port.is_some()),

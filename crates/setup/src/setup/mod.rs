@@ -50,7 +50,7 @@ use self::experiment::ExperimentSection;
 pub use self::experiment::{Carrier, Experiment};
 use self::geometric::GeometricSection;
 use self::link::GATEWAY_CYCLE_MAX_MILLIS;
-pub use self::link::{ArmLink, BusLinkConfig, GatewayWay, SignalsSection};
+pub use self::link::{ArmLink, GatewayWay, SignalsSection};
 use self::mounts::{Mounts, MountsSection};
 use self::range::search_range;
 pub use self::real_cameras::{RealCameras, Synchronisation, interval, is_for_cameras_only, read_cameras};

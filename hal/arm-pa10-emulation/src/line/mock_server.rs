@@ -12,8 +12,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use pb3dp_arm_pa10::bus::{BusPort, FRAME_ROOM, FrameListener, FrameSocketError};
 use pb3dp_arm_pa10::serial::SerialConfig;
+use pb3dp_arm_pa10_gateway::bus::{BusPort, FRAME_ROOM, FrameListener, FrameSocketError};
 use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig, GatewayConfigError};
 use pb3dp_arm_pa10_gateway::service::{Access, Admission, Admitted};
 use pb3dp_geometry::MonotonicTime;
@@ -455,7 +455,7 @@ impl Worker {
         if let Some(link) = self.line.byte_link().filter(|_| reads) {
             wait(Some(link), for_room, None, timeout);
         } else if let Some(bus) = self.line.bus_port() {
-            pb3dp_arm_pa10::bus::wait(bus.as_ref(), timeout);
+            pb3dp_arm_pa10_gateway::bus::wait(bus.as_ref(), timeout);
         } else {
             clock.0.sleep_until(planned);
         }

@@ -2,8 +2,7 @@
 
 use pb3dp_arm_pa10_protocol::arcnet::{self, Frame, FrameError, Route};
 use pb3dp_arm_pa10_protocol::codec::{
-    ArmReply, ByteBuffer, COUNTS_PER_TURN, CodecError, ControlMessage, ControlPacket, EepromAxis, Letter,
-    PACKET_LENGTH_MAX, ReplyMessage, WireFormat,
+    ArmReply, COUNTS_PER_TURN, CodecError, ControlMessage, ControlPacket, EepromAxis, Letter, ReplyMessage, WireFormat,
 };
 use pb3dp_geometry::MonotonicTime;
 
@@ -11,9 +10,6 @@ use super::config::GatewayConfig;
 
 /// A reply to one of this many newest messages counts as late, an older one as mismatched.
 const LATE_MESSAGES_MAX: u8 = 16;
-
-/// Requests of the host that can wait for the reply to one cyclic command.
-const ASKERS_MAX: usize = 4;
 
 /// An angle beyond two turns from zero is invalid.
 const ANGLE_COUNTS_MAX: u32 = 2 * COUNTS_PER_TURN.unsigned_abs();
@@ -36,30 +32,6 @@ pub struct BusCounters {
 pub(super) struct Requester {
     pub sequence: u16,
     pub frame_type: u8,
-    /// Whether it came by RAW: then its answer is RAW_REPLY.
-    pub is_raw: bool,
-}
-
-/// Frames of the host that wait for the reply to a cyclic command.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Requesters {
-    list: [Option<Requester>; ASKERS_MAX],
-}
-
-impl Requesters {
-    /// Adds one; if the list is full, the oldest is removed and returned.
-    pub fn push(&mut self, requester: Requester) -> Option<Requester> {
-        if let Some(place) = self.list.iter_mut().find(|place| place.is_none()) {
-            *place = Some(requester);
-            return None;
-        }
-        self.list.rotate_left(1);
-        self.list[ASKERS_MAX - 1].replace(requester)
-    }
-
-    pub fn take(&mut self) -> impl Iterator<Item = Requester> + use<> {
-        std::mem::take(self).list.into_iter().flatten()
-    }
 }
 
 /// A message that waits for its reply.
@@ -68,8 +40,6 @@ pub(super) struct Outstanding {
     packet: ControlPacket,
     /// Cycles that have begun since the message was sent.
     pub cycles: u32,
-    /// Frames that wait for the reply in the dialect `transparent`.
-    pub requesters: Requesters,
 }
 
 /// A classified frame of the bus.
@@ -78,17 +48,14 @@ pub(super) enum Arrived {
     /// No expected reply; it is counted.
     Nothing,
     /// The expected measurement.
-    Sample(ArmReply, Requesters, RawReply),
-    /// The expected table of an axis.
-    Eeprom(Option<EepromAxis>, RawReply),
+    Sample(ArmReply),
+    /// The expected table of an axis; none if it has another layout.
+    Eeprom(Option<EepromAxis>),
     /// Another expected reply.
-    Done(RawReply),
+    Done,
     /// A reply which shows that this is not the configured arm.
     Unusable,
 }
-
-/// The unchanged data of a reply.
-pub(super) type RawReply = ByteBuffer<PACKET_LENGTH_MAX>;
 
 /// State of the bus side.
 #[derive(Clone, Debug, Default)]
@@ -104,26 +71,20 @@ pub(super) struct Bus {
 
 impl Bus {
     /// Encodes a message; its reply is expected from now on.
-    pub fn send(
-        &mut self,
-        config: &GatewayConfig,
-        message: ControlMessage,
-        requesters: Requesters,
-    ) -> Result<Frame, CodecError> {
+    pub fn send(&mut self, config: &GatewayConfig, message: ControlMessage) -> Result<Frame, CodecError> {
         let packet = ControlPacket { sequence: config.modulus.reduce(self.counters.exchanges), message };
         let frame = arcnet::encode(Route::TO_CONTROLLER, &packet.encode(config.format)?)?;
         count(&mut self.counters.exchanges);
         self.last_sequence = packet.sequence;
-        self.outstanding = Some(Outstanding { packet, cycles: 0, requesters });
+        self.outstanding = Some(Outstanding { packet, cycles: 0 });
         Ok(frame)
     }
 
     /// The expected reply did not come.
-    pub fn give_up(&mut self) -> Option<Outstanding> {
-        let outstanding = self.outstanding.take()?;
+    pub fn give_up(&mut self) {
+        self.outstanding = None;
         count(&mut self.counters.lost);
         self.misses = self.misses.saturating_add(1);
-        Some(outstanding)
     }
 
     /// Handles a frame of the bus.
@@ -143,34 +104,33 @@ impl Bus {
         if *letter != asked.letter().byte() {
             return self.mismatch();
         }
-        let raw = RawReply::from_slice(data).unwrap_or(RawReply::EMPTY);
         match ReplyMessage::decode_data(config.format, &asked, *letter, data) {
-            Ok(ReplyMessage::Cyclic(reply)) => self.sample(config, &reply, raw),
-            Ok(ReplyMessage::Eeprom(table)) => self.used(|_| Arrived::Eeprom(Some(table), raw)),
-            Ok(ReplyMessage::Done(_)) => self.used(|_| Arrived::Done(raw)),
+            Ok(ReplyMessage::Cyclic(reply)) => self.sample(config, &reply),
+            Ok(ReplyMessage::Eeprom(table)) => self.used(Arrived::Eeprom(Some(table))),
+            Ok(ReplyMessage::Done(_)) => self.used(Arrived::Done),
             Err(CodecError::OtherFormat { got, .. }) => {
                 self.detected_format = Some(got);
                 count(&mut self.counters.mismatched);
                 Arrived::Unusable
             }
-            // A table of another layout is forwarded to the host, in the dialect that does so.
-            Err(_) if asked.letter() == Letter::ReadEeprom => self.used(|_| Arrived::Eeprom(None, raw)),
+            Err(_) if asked.letter() == Letter::ReadEeprom => self.used(Arrived::Eeprom(None)),
             Err(_) => self.mismatch(),
         }
     }
 
-    fn sample(&mut self, config: &GatewayConfig, reply: &ArmReply, raw: RawReply) -> Arrived {
+    fn sample(&mut self, config: &GatewayConfig, reply: &ArmReply) -> Arrived {
         self.detected_format = Some(config.format);
         if reply.axes.iter().any(|axis| axis.angle.0.unsigned_abs() > ANGLE_COUNTS_MAX) {
             count(&mut self.counters.mismatched);
             return Arrived::Unusable;
         }
-        self.used(|outstanding| Arrived::Sample(*reply, outstanding.requesters, raw))
+        self.used(Arrived::Sample(*reply))
     }
 
-    fn used(&mut self, arrived: impl FnOnce(Outstanding) -> Arrived) -> Arrived {
+    fn used(&mut self, arrived: Arrived) -> Arrived {
         self.misses = 0;
-        self.outstanding.take().map_or(Arrived::Nothing, arrived)
+        self.outstanding = None;
+        arrived
     }
 
     fn mismatch(&mut self) -> Arrived {

@@ -36,9 +36,9 @@ pub struct GatewayConfig {
     pub controller_watchdog: Option<Duration>,
     /// Time that brakes take to open, and to close.
     pub brake_time: Duration,
-    /// Whether speeds are interpolated linearly between two commands (dialect `gateway-v1`).
+    /// Whether speeds are interpolated linearly between two commands.
     pub interpolates: bool,
-    /// Supervision by the controller itself (format B, dialect `gateway-v1`).
+    /// Supervision by the controller itself (format B).
     pub supervision: Supervision,
     /// How the signals of the arm are noticed. Alarms of format B always count. No brake opens while one is unknown.
     pub signals: StatusSignals,

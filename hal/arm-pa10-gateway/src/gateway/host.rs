@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    Arrival, ControlOperation, DelayMeter, Dialect, FaultReport, Frame, FrameBytes, GatewayMessage, HostMessage,
-    MessageError, Reject, RejectReason, SequenceTracker,
+    Arrival, DelayMeter, FaultReport, Frame, FrameBytes, GatewayMessage, HostMessage, MessageError, Reject,
+    RejectReason, SequenceTracker,
 };
 use pb3dp_geometry::MonotonicTime;
 
@@ -36,8 +36,8 @@ struct Outbox {
 /// State of the host side.
 #[derive(Clone, Debug)]
 pub(super) struct Host {
-    /// The dialect since the last HELLO; `None` before it.
-    pub dialect: Option<Dialect>,
+    /// A HELLO was accepted, and the host has been there since.
+    pub is_greeted: bool,
     /// Time between two commands, as the host reported it.
     pub cycle: Duration,
     /// Time of the last decoded frame.
@@ -55,7 +55,7 @@ pub(super) struct Host {
 impl Host {
     pub fn new() -> Self {
         Self {
-            dialect: None,
+            is_greeted: false,
             cycle: Duration::ZERO,
             last_received: MonotonicTime::ZERO,
             sequence: SequenceTracker::default(),
@@ -67,15 +67,15 @@ impl Host {
         }
     }
 
-    /// The host is disconnected: its dialect and its queued output are discarded.
+    /// The host is disconnected: its queued output is discarded.
     pub fn forget(&mut self) {
-        self.dialect = None;
+        self.is_greeted = false;
         self.outbox = Outbox { ring: [None; OUTBOX_MAX], first: 0, length: 0 };
     }
 
     /// A HELLO was accepted: sequence and clock of the host start again.
-    pub fn greet(&mut self, now: MonotonicTime, frame: &Frame, dialect: Dialect, cycle: Duration) {
-        self.dialect = Some(dialect);
+    pub fn greet(&mut self, now: MonotonicTime, frame: &Frame, cycle: Duration) {
+        self.is_greeted = true;
         self.cycle = cycle;
         self.last_received = now;
         self.sequence.restart();
@@ -97,8 +97,7 @@ impl Host {
         }
         let message = HostMessage::decode(frame).map_err(|error| refusal_of(&error))?;
         self.last_received = now;
-        let drives = matches!(message, HostMessage::Command(_) | HostMessage::Raw(_));
-        if drives && delay > delay_allowed {
+        if matches!(message, HostMessage::Command(_)) && delay > delay_allowed {
             count(&mut self.waited);
             return Err(Refused(RejectReason::Stale, u32::try_from(delay.as_micros()).unwrap_or(u32::MAX)));
         }
@@ -117,7 +116,7 @@ impl Host {
     }
 
     pub fn report(&mut self, now: MonotonicTime, report: FaultReport) {
-        if self.dialect.is_some() {
+        if self.is_greeted {
             self.put(Waiting { message: GatewayMessage::Fault(report), sequence: self.faults, since: now });
         }
         self.faults = self.faults.wrapping_add(1);
@@ -171,9 +170,4 @@ pub(super) fn refusal_of(error: &MessageError) -> Refused {
         }
         MessageError::Value { .. } | MessageError::Codec(_) => Refused(RejectReason::BadValue, 0),
     }
-}
-
-/// Whether the dialect `transparent` has this operation.
-pub(super) fn is_in_both_dialects(operation: ControlOperation) -> bool {
-    matches!(operation, ControlOperation::Stop | ControlOperation::Reset | ControlOperation::Abort)
 }

@@ -7,7 +7,7 @@ use pb3dp_arm_pa10_protocol::codec::{AngleCounts, ArmCommand, ArmReply, Axis, Co
 use pb3dp_arm_pa10_protocol::gateway_protocol::{FaultReport, GatewayState, RejectReason, StopCause};
 use pb3dp_geometry::MonotonicTime;
 
-use super::bus::{Bus, Outstanding, Requester, Requesters, count};
+use super::bus::{Bus, Requester, count};
 use super::config::GatewayConfig;
 use super::host::{Host, Refused};
 use super::limits::{Exceeded, LimitMonitor};
@@ -136,8 +136,6 @@ pub(super) struct Machine {
     pub queued: Option<Job>,
     /// A `start` that waits for the first measurement.
     pub opening: Option<Requester>,
-    /// RAW with C, until it is sent.
-    pub waiting: Requesters,
     pub measured: Option<Measured>,
     /// Whether the watchdog slowed down the last cycle.
     pub slowed: bool,
@@ -171,7 +169,6 @@ impl Machine {
             detected_first: None,
             queued: None,
             opening: None,
-            waiting: Requesters::default(),
             measured: None,
             slowed: false,
             cycles: CycleCounters::default(),
@@ -240,7 +237,7 @@ impl Machine {
     pub fn cancel(&mut self, now: MonotonicTime, reason: Refused) {
         let job = if let Work::Job(job) = self.work { Some(job) } else { None };
         let jobs = [job, self.queued.take()].into_iter().flatten().map(|job| job.requester);
-        for requester in jobs.chain(self.opening.take()).chain(self.waiting.take()) {
+        for requester in jobs.chain(self.opening.take()) {
             self.host.refuse(now, &requester, reason);
         }
         if job.is_some() {
@@ -354,10 +351,7 @@ impl Machine {
         if outstanding.cycles < patience {
             return;
         }
-        let Some(Outstanding { mut requesters, .. }) = self.bus.give_up() else { return };
-        for requester in requesters.take() {
-            self.host.refuse(now, &requester, Refused(RejectReason::NoAnswer, 0));
-        }
+        self.bus.give_up();
         match (self.purpose, self.work) {
             (Purpose::Cycle, Work::Stop(StopStep::Check { left: 0 })) => self.latch_found(now),
             (Purpose::Cycle, _) if self.bus.misses >= SILENT_CYCLES => {
@@ -467,9 +461,7 @@ impl Machine {
     }
 
     fn send(&mut self, now: MonotonicTime, message: ControlMessage, purpose: Purpose) -> Option<Frame> {
-        let requesters =
-            if matches!(self.work, Work::Steady) { std::mem::take(&mut self.waiting) } else { Requesters::default() };
-        match self.bus.send(&self.config, message, requesters) {
+        match self.bus.send(&self.config, message) {
             Ok(frame) => {
                 if let ControlMessage::Cyclic(command) = &message {
                     self.motion.note_sent(now, command);

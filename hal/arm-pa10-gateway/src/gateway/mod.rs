@@ -30,7 +30,7 @@ use machine::{Machine, Work};
 use pb3dp_arm_pa10::link::SILENCE;
 use pb3dp_arm_pa10_protocol::arcnet::Frame;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    Dialect, FaultReport, FrameBytes, FrameParser, GatewayState, ParserCounters, Received, StopCause,
+    FaultReport, FrameBytes, FrameParser, GatewayState, ParserCounters, Received, StopCause,
 };
 use pb3dp_geometry::MonotonicTime;
 
@@ -56,8 +56,8 @@ pub struct GatewayStatus {
     pub cause: StopCause,
     /// Axis and status word of the cause, if they show it, until a reset.
     pub found: Option<FaultReport>,
-    /// Dialect of the host that sent HELLO, if any.
-    pub host: Option<Dialect>,
+    /// A host sent HELLO, and is there.
+    pub has_host: bool,
     /// The controller has not answered the stop order: the arm may move, and the gateway repeats the stop order.
     pub stop_unacknowledged: bool,
     /// Counters of the cycle.
@@ -155,7 +155,7 @@ impl Gateway {
             state: *state,
             cause: *cause,
             found: *found,
-            host: host.dialect,
+            has_host: host.is_greeted,
             stop_unacknowledged: self.machine.stop_unacknowledged,
             cycle: *cycles,
             bus: bus.counters,

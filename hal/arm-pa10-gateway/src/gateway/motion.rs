@@ -21,11 +21,11 @@ pub(super) struct Motion {
     /// Time and speeds when the first command came after the watchdog had slowed the arm down.
     resumed: Option<(MonotonicTime, [SpeedCounts; Axis::COUNT])>,
     sent: ArmCommand,
-    brakes: [Brake; Axis::COUNT],
+    brakes: Brake,
     brake_time: Duration,
 }
 
-/// The last command to a brake, and its time.
+/// The last command to the brakes, which all get the same one, and its time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Brake {
     OpenSince(MonotonicTime),
@@ -49,15 +49,16 @@ fn off() -> ArmCommand {
     ArmCommand::uniform(AxisCommand::Off, Supervision::default())
 }
 
-pub(super) fn is_open(axis: &AxisCommand) -> bool {
-    matches!(axis, AxisCommand::Speed(_))
+/// Whether a command opens the brakes, or leaves them open. All axes have the same mode.
+pub(super) fn opens(command: &ArmCommand) -> bool {
+    command.axes.iter().any(|axis| matches!(axis, AxisCommand::Speed(_)))
 }
 
-/// Kind of a command: one open brake counts.
+/// Kind of a command.
 pub(super) fn kind(command: &ArmCommand) -> Kind {
     if command.axes.iter().any(|axis| axis.speed() != SpeedCounts::ZERO) {
         Kind::Motion
-    } else if command.axes.iter().any(is_open) {
+    } else if opens(command) {
         Kind::Rest
     } else {
         Kind::BrakesOn
@@ -74,7 +75,7 @@ impl Motion {
             over: Duration::ZERO,
             resumed: None,
             sent: ArmCommand::uniform(AxisCommand::Braked, Supervision::default()),
-            brakes: [Brake::OpenSince(now); Axis::COUNT],
+            brakes: Brake::OpenSince(now),
             brake_time,
         }
     }
@@ -117,62 +118,48 @@ impl Motion {
 
     /// Records the command that is sent in this cycle.
     pub fn note_sent(&mut self, now: MonotonicTime, command: &ArmCommand) {
-        for (brake, axis) in self.brakes.iter_mut().zip(&command.axes) {
-            *brake = match (is_open(axis), *brake) {
-                (true, Brake::OpenSince(since)) => Brake::OpenSince(since),
-                (true, _) => Brake::OpenSince(now),
-                (false, Brake::OpenSince(_)) => Brake::Closed { since: now, acknowledged: false },
-                (false, closed @ Brake::Closed { .. }) => closed,
-            };
-        }
+        self.brakes = match (opens(command), self.brakes) {
+            (true, Brake::Closed { .. }) => Brake::OpenSince(now),
+            (false, Brake::OpenSince(_)) => Brake::Closed { since: now, acknowledged: false },
+            (_, unchanged) => unchanged,
+        };
         self.sent = *command;
     }
 
     /// The last message was answered: the controller has received its brake commands, now at the latest.
     pub fn note_acknowledged(&mut self, now: MonotonicTime) {
-        for brake in &mut self.brakes {
-            if let Brake::Closed { acknowledged: false, .. } = brake {
-                *brake = Brake::Closed { since: now, acknowledged: true };
-            }
+        if let Brake::Closed { acknowledged: false, .. } = self.brakes {
+            self.brakes = Brake::Closed { since: now, acknowledged: true };
         }
     }
 
-    /// Whether the controller has received the command to close every brake.
+    /// Whether the controller has received the command to close the brakes.
     pub fn is_acknowledged(&self) -> bool {
-        self.brakes.iter().all(|brake| matches!(brake, Brake::Closed { acknowledged: true, .. }))
+        matches!(self.brakes, Brake::Closed { acknowledged: true, .. })
     }
 
     /// It is unknown what the controller has received: all brakes on, servos on.
     pub fn doubt(&mut self) {
         self.sent.axes = [AxisCommand::Braked; Axis::COUNT];
-        for brake in &mut self.brakes {
-            if let Brake::Closed { acknowledged, .. } = brake {
-                *acknowledged = false;
-            }
+        if let Brake::Closed { acknowledged, .. } = &mut self.brakes {
+            *acknowledged = false;
         }
     }
 
-    /// Whether each axis that is to move had the time to open its brake.
+    /// Whether the brakes had the time to open, if a command moves an axis.
     pub fn may_move(&self, now: MonotonicTime, command: &ArmCommand) -> bool {
-        command.axes.iter().zip(&self.brakes).all(|(axis, brake)| {
-            let is_ready = matches!(brake, Brake::OpenSince(since) if now.saturating_since(*since) >= self.brake_time);
-            is_ready || axis.speed() == SpeedCounts::ZERO
-        })
+        let is_ready = matches!(self.brakes, Brake::OpenSince(since) if now.saturating_since(since) >= self.brake_time);
+        is_ready || kind(command) != Kind::Motion
     }
 
-    /// Whether a command keeps each brake as the last command set it.
-    pub fn keeps_brakes(&self, command: &ArmCommand) -> bool {
-        command.axes.iter().zip(&self.target.axes).all(|(new, old)| is_open(new) == is_open(old))
-    }
-
-    /// Whether a command closes the brake of an axis before its speed is 0.
+    /// Whether a command closes the brakes before the speeds are 0.
     pub fn brakes_motion(&self, command: &ArmCommand) -> bool {
-        command.axes.iter().zip(&self.sent.axes).any(|(new, old)| !is_open(new) && old.speed() != SpeedCounts::ZERO)
+        !opens(command) && kind(&self.sent) == Kind::Motion
     }
 
-    /// Whether every brake is on and had the time to close.
+    /// Whether the brakes are on and had the time to close.
     pub fn brakes_closed(&self, now: MonotonicTime) -> bool {
-        (0..Axis::COUNT).all(|index| self.brake_holds(index, now))
+        matches!(self.brakes, Brake::Closed { since, .. } if now.saturating_since(since) >= self.brake_time)
     }
 
     /// The command of this cycle, and whether the watchdog slows it down.
@@ -191,7 +178,7 @@ impl Motion {
                     AxisCommand::Speed(part((f64::from(to.0) - from).mul_add(way.min(1.0), from), left))
                 }
                 // A servo that is disabled before the brake holds lets the axis fall.
-                AxisCommand::Off if !self.brake_holds(index, now) => AxisCommand::Braked,
+                AxisCommand::Off if !self.brakes_closed(now) => AxisCommand::Braked,
                 braked => braked,
             };
         }
@@ -215,13 +202,6 @@ impl Motion {
     /// All brakes on, servos off.
     pub fn off(&self) -> ArmCommand {
         ArmCommand { supervision: self.sent.supervision, ..off() }
-    }
-
-    fn brake_holds(&self, index: usize, now: MonotonicTime) -> bool {
-        match self.brakes[index] {
-            Brake::OpenSince(_) => false,
-            Brake::Closed { since, .. } => now.saturating_since(since) >= self.brake_time,
-        }
     }
 }
 

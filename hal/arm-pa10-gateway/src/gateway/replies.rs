@@ -1,14 +1,13 @@
 //! Replies from the bus and their handling.
 
 use pb3dp_arm_pa10::driver::{ArmCondition, EmergencyStopCause, FaultCause, Sample, Trip};
-use pb3dp_arm_pa10_protocol::codec::{ArmReply, Axis, ByteBuffer, EepromAxis, Letter};
+use pb3dp_arm_pa10_protocol::codec::{ArmReply, Axis, EepromAxis};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmOperation, Control, ControlReply, EepromLimits, GatewayMessage, GatewayState, RawMessage, RejectReason,
-    StopCause,
+    ArmOperation, Control, ControlReply, EepromLimits, GatewayMessage, GatewayState, RejectReason, StopCause,
 };
 use pb3dp_geometry::MonotonicTime;
 
-use super::bus::{Arrived, RawReply, Requester, Requesters};
+use super::bus::{Arrived, Requester};
 use super::host::Refused;
 use super::machine::{Job, Machine, Measured, ResetStep, Task, Work};
 
@@ -29,9 +28,9 @@ impl Machine {
         match self.bus.handle_frame(&self.config, frame) {
             Arrived::Nothing => {}
             Arrived::Unusable => self.handle_unusable(now),
-            Arrived::Sample(reply, requesters, raw) => self.handle_sample(now, &reply, requesters, &raw),
-            Arrived::Eeprom(table, raw) => self.handle_eeprom(now, table.as_ref(), &raw),
-            Arrived::Done(raw) => self.handle_done(now, &raw),
+            Arrived::Sample(reply) => self.handle_sample(now, &reply),
+            Arrived::Eeprom(table) => self.handle_eeprom(now, table.as_ref()),
+            Arrived::Done => self.handle_done(now),
         }
     }
 
@@ -43,7 +42,7 @@ impl Machine {
         self.trip(now, StopCause::ReplyUnusable, None, 0);
     }
 
-    fn handle_sample(&mut self, now: MonotonicTime, reply: &ArmReply, mut requesters: Requesters, raw: &RawReply) {
+    fn handle_sample(&mut self, now: MonotonicTime, reply: &ArmReply) {
         self.measured = Some(Measured { reply: *reply, at: now });
         self.hear(now);
         self.note_found(now, reply);
@@ -53,9 +52,6 @@ impl Machine {
             let found = found.map_or(StopCause::None, |found| found.cause);
             self.go_on(requester, ResetStep::End { found });
             return;
-        }
-        for requester in requesters.take() {
-            self.answer_raw(now, &requester, Letter::Cyclic, raw);
         }
         if let Some(requester) = self.opening.take() {
             self.answer_control(now, &requester, Control::Arm(ArmOperation::Start));
@@ -70,12 +66,10 @@ impl Machine {
         }
     }
 
-    fn handle_eeprom(&mut self, now: MonotonicTime, table: Option<&EepromAxis>, raw: &RawReply) {
+    fn handle_eeprom(&mut self, now: MonotonicTime, table: Option<&EepromAxis>) {
         let Work::Job(Job { requester, task: Task::Read(_) }) = self.work else { return };
         self.work = Work::Steady;
-        if requester.is_raw {
-            self.answer_raw(now, &requester, Letter::ReadEeprom, raw);
-        } else if let Some(table) = table {
+        if let Some(table) = table {
             let urad = |rad: f64| (rad * MICRO).round() as i32;
             let limits = EepromLimits {
                 axis: table.axis,
@@ -89,9 +83,9 @@ impl Machine {
         }
     }
 
-    fn handle_done(&mut self, now: MonotonicTime, raw: &RawReply) {
+    fn handle_done(&mut self, now: MonotonicTime) {
         match self.work {
-            Work::Job(job) => self.advance(now, &job, raw),
+            Work::Job(job) => self.advance(now, &job),
             Work::Close { .. } => self.end_close(now),
             // The reply to E, which ends the order.
             Work::Stop(_) => self.end_stop(now),
@@ -99,33 +93,29 @@ impl Machine {
         }
     }
 
-    fn advance(&mut self, now: MonotonicTime, job: &Job, raw: &RawReply) {
+    fn advance(&mut self, now: MonotonicTime, job: &Job) {
         let requester = job.requester;
-        let (letter, control) = match job.task {
+        let control = match job.task {
             Task::Start => {
                 self.state = GatewayState::Started;
                 self.work = Work::Steady;
                 self.measured = None;
                 self.motion.restart(now, self.config.supervision);
                 self.limits.restart(now);
-                if requester.is_raw {
-                    self.answer_raw(now, &requester, Letter::Start, raw);
-                } else {
-                    self.opening = Some(requester);
-                }
+                self.opening = Some(requester);
                 return;
             }
             Task::End => {
                 self.state = GatewayState::Idle;
-                (Letter::End, Control::Arm(ArmOperation::End))
+                Control::Arm(ArmOperation::End)
             }
-            Task::Clear(axis) => (Letter::ClearAlarm, Control::ClearAlarm(axis)),
+            Task::Clear(axis) => Control::ClearAlarm(axis),
             // The reply to R is not a bare letter.
             Task::Read(_) => return,
             Task::Reset(ResetStep::Start | ResetStep::Look) => return self.go_on(requester, ResetStep::Look),
             Task::Reset(ResetStep::End { found: StopCause::None }) => {
                 (self.state, self.cause, self.found) = (GatewayState::Idle, StopCause::None, None);
-                (Letter::End, Control::Arm(ArmOperation::Reset))
+                Control::Arm(ArmOperation::Reset)
             }
             Task::Reset(ResetStep::End { found }) => {
                 self.work = Work::Steady;
@@ -134,11 +124,7 @@ impl Machine {
             }
         };
         self.work = Work::Steady;
-        if requester.is_raw {
-            self.answer_raw(now, &requester, letter, raw);
-        } else {
-            self.answer_control(now, &requester, control);
-        }
+        self.answer_control(now, &requester, control);
     }
 
     fn go_on(&mut self, requester: Requester, step: ResetStep) {
@@ -150,25 +136,14 @@ impl Machine {
         self.host.answer(now, requester, GatewayMessage::ControlReply(reply));
     }
 
-    pub fn answer_raw(&mut self, now: MonotonicTime, requester: &Requester, letter: Letter, data: &[u8]) {
-        match ByteBuffer::from_slice(data) {
-            Some(data) => {
-                let reply = RawMessage { letter: letter.byte(), data };
-                self.host.answer(now, requester, GatewayMessage::RawReply(reply));
-            }
-            // Longer than any known reply, and longer than a frame can carry.
-            None => self.host.refuse(now, requester, Refused(RejectReason::NoAnswer, 0)),
-        }
-    }
-
-    /// Whether the newest measurement shows that the arm would not hold its pose with open brakes, or whether it would show it.
+    /// Whether the arm may not hold its pose with open brakes: the newest measurement shows it, would not show it, or does not exist.
     pub fn is_uncontrollable(&self) -> bool {
         let signals = &self.config.signals;
         if signals.unknown().next().is_some() {
             return true;
         }
         let condition = |measured: &Measured| Sample::from_reply(&measured.reply, &self.config.torque_scale).condition;
-        self.measured.as_ref().is_some_and(|measured| condition(measured).uncontrollable(signals).is_some())
+        self.measured.as_ref().is_none_or(|measured| condition(measured).uncontrollable(signals).is_some())
     }
 
     /// The cause of a stop in the reported condition, if any.

@@ -2,15 +2,15 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10_protocol::codec::{ArmCommand, AxisCommand, CodecError, ControlMessage, Letter, WiredSignals};
+use pb3dp_arm_pa10_protocol::codec::{ArmCommand, AxisCommand, WiredSignals};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmOperation, Control, Dialect, DriveCommand, DriveMode, Frame, GatewayMessage, GatewayState, HELLO, Health, Hello,
-    HelloReply, HostMessage, RawMessage, RejectReason, State, StopCause,
+    ArmOperation, Control, DriveCommand, DriveMode, Frame, GatewayMessage, GatewayState, HELLO, Health, Hello,
+    HelloReply, HostMessage, RejectReason, State, StopCause,
 };
 use pb3dp_geometry::MonotonicTime;
 
 use super::bus::Requester;
-use super::host::{Refused, is_in_both_dialects, refusal_of};
+use super::host::{Refused, refusal_of};
 use super::machine::{Job, Machine, ResetStep, StopStep, Task, Work, wrong_state};
 use super::motion::{self, Kind};
 use super::table::{GatewayAction, HostRequest, action};
@@ -30,7 +30,7 @@ impl Machine {
         let requester = requester(frame);
         let refused = if frame.frame_type == HELLO {
             self.handle_hello(now, frame, &requester).err()
-        } else if self.host.dialect.is_none() {
+        } else if !self.host.is_greeted {
             Some(Refused(RejectReason::NotConnected, 0))
         } else {
             let message = self.host.judge(now, frame, self.config.watchdog.ramp_after());
@@ -96,20 +96,19 @@ impl Machine {
 
     fn handle_hello(&mut self, now: MonotonicTime, frame: &Frame, requester: &Requester) -> Result<(), Refused> {
         let message = HostMessage::decode(frame).map_err(|error| refusal_of(&error))?;
-        let HostMessage::Hello(Hello { dialect, cycle_us, limits }) = message else {
+        let HostMessage::Hello(Hello { cycle_us, limits }) = message else {
             return Err(Refused(RejectReason::UnknownType, 0));
         };
         if let Some(wider) = limits.wider_than(&self.config.limits) {
             return Err(Refused(RejectReason::LimitsTooWide, wider.detail()));
         }
-        let is_open = self.motion.sent().axes.iter().any(motion::is_open);
-        let is_changed = |in_force| in_force != dialect || self.limits.asked != Some(limits);
-        if is_open && self.host.dialect.is_some_and(is_changed) {
+        let is_open = motion::opens(self.motion.sent());
+        if is_open && self.host.is_greeted && self.limits.asked != Some(limits) {
             return Err(wrong_state(self.state));
         }
         self.limits.tighten(&self.config.limits, &limits);
-        self.host.greet(now, frame, dialect, Duration::from_micros(u64::from(cycle_us)));
-        let reply = self.hello_reply(dialect);
+        self.host.greet(now, frame, Duration::from_micros(u64::from(cycle_us)));
+        let reply = self.hello_reply();
         self.host.answer(now, requester, GatewayMessage::HelloReply(reply));
         Ok(())
     }
@@ -120,11 +119,6 @@ impl Machine {
         message: &HostMessage,
         requester: &Requester,
     ) -> Result<(), Refused> {
-        let dialect = self.host.dialect.unwrap_or(Dialect::GatewayV1);
-        let only = |wanted: Dialect| {
-            let other = Refused(RejectReason::WrongDialect, u32::from(dialect.code()));
-            if dialect == wanted { Ok(()) } else { Err(other) }
-        };
         match message {
             // Was handled before.
             HostMessage::Hello(_) => Err(Refused(RejectReason::UnknownType, 0)),
@@ -133,20 +127,8 @@ impl Machine {
                 self.host.answer(now, requester, GatewayMessage::Health(health));
                 Ok(())
             }
-            HostMessage::Command(command) => {
-                only(Dialect::GatewayV1)?;
-                self.handle_command(now, command, requester)
-            }
-            HostMessage::Control(control) => {
-                if !is_in_both_dialects(control.operation()) {
-                    only(Dialect::GatewayV1)?;
-                }
-                self.handle_control(now, *control, requester)
-            }
-            HostMessage::Raw(raw) => {
-                only(Dialect::Transparent)?;
-                self.handle_raw(now, raw, &Requester { is_raw: true, ..*requester })
-            }
+            HostMessage::Command(command) => self.handle_command(now, command, requester),
+            HostMessage::Control(control) => self.handle_control(now, *control, requester),
         }
     }
 
@@ -188,14 +170,8 @@ impl Machine {
         match action(self.state, request) {
             GatewayAction::Show => Ok(None),
             GatewayAction::Follow(next) => {
-                let possible = !self.is_busy()
-                    && !self.motion.brakes_motion(asked)
-                    && self.motion.may_move(now, asked)
-                    && (self.state != GatewayState::Moving || self.motion.keeps_brakes(asked));
+                let possible = !self.is_busy() && !self.motion.brakes_motion(asked) && self.motion.may_move(now, asked);
                 let opens = self.state == GatewayState::Started && next == GatewayState::Holding;
-                if possible && opens && self.measured.is_none() {
-                    return Err(Refused(RejectReason::NoAnswer, 0));
-                }
                 if possible && opens && self.is_uncontrollable() {
                     let cause = u32::from(StopCause::AxisUncontrollable.code());
                     return Err(Refused(RejectReason::CausePresent, cause));
@@ -250,11 +226,6 @@ impl Machine {
     ) -> Result<(), Refused> {
         match action(self.state, request) {
             _ if self.is_busy() => Err(wrong_state(self.state)),
-            GatewayAction::Nothing if requester.is_raw => {
-                let letter = if request == HostRequest::Start { Letter::Start } else { Letter::End };
-                self.answer_raw(now, requester, letter, &[]);
-                Ok(())
-            }
             GatewayAction::Nothing => {
                 self.answer_control(now, requester, control);
                 Ok(())
@@ -281,43 +252,6 @@ impl Machine {
         Ok(())
     }
 
-    fn handle_raw(&mut self, now: MonotonicTime, raw: &RawMessage, requester: &Requester) -> Result<(), Refused> {
-        let forbidden = Refused(RejectReason::ForbiddenLetter, u32::from(raw.letter));
-        let letter = Letter::from_byte(raw.letter).map_err(|_| forbidden)?;
-        let message = ControlMessage::decode_data(self.config.format, letter, &raw.data).map_err(refusal_of_data)?;
-        let arm = |operation| Control::Arm(operation);
-        match message {
-            ControlMessage::Start => {
-                self.request(now, HostRequest::Start, Task::Start, requester, arm(ArmOperation::Start))
-            }
-            ControlMessage::End => self.request(now, HostRequest::End, Task::End, requester, arm(ArmOperation::End)),
-            ControlMessage::ClearAlarm(axis) => {
-                self.request(now, HostRequest::Service, Task::Clear(axis), requester, Control::ClearAlarm(axis))
-            }
-            ControlMessage::ReadEeprom(axis) => {
-                self.request(now, HostRequest::Service, Task::Read(axis), requester, Control::ReadEeprom(axis))
-            }
-            ControlMessage::Cyclic(command) => {
-                let next = self.judge_command(now, &command)?.ok_or(wrong_state(self.state))?;
-                if !self.keeps_limits(now, &command) {
-                    return Err(wrong_state(self.state));
-                }
-                if self.slowed {
-                    self.motion.follow_anew(now, command, Duration::ZERO);
-                } else {
-                    self.motion.follow(now, command, Duration::ZERO);
-                }
-                self.state = next;
-                if let Some(oldest) = self.waiting.push(*requester) {
-                    self.host.refuse(now, &oldest, Refused(RejectReason::NoAnswer, 0));
-                }
-                Ok(())
-            }
-            #[cfg(feature = "brake-release")]
-            ControlMessage::ReleaseBrakes => Err(forbidden),
-        }
-    }
-
     /// The newest measurement; `None` if there is none since the control mode began.
     fn arm_state(&self, now: MonotonicTime) -> Option<State> {
         let measured = self.measured.as_ref()?;
@@ -327,14 +261,11 @@ impl Machine {
         Some(State { gateway, cause, is_ramping, ..state.ok()? })
     }
 
-    fn hello_reply(&self, dialect: Dialect) -> HelloReply {
+    fn hello_reply(&self) -> HelloReply {
         let config = &self.config;
         HelloReply {
-            has_transparent: true,
-            has_gateway_v1: true,
             // It has no inputs.
             wired: WiredSignals::default(),
-            dialect,
             wire_format: self.bus.detected_format,
             geometry: config.geometry,
             state: self.state,
@@ -369,17 +300,7 @@ impl Machine {
 }
 
 fn requester(frame: &Frame) -> Requester {
-    Requester { sequence: frame.sequence, frame_type: frame.frame_type, is_raw: false }
-}
-
-/// Why the data of a letter are refused: the length includes the letter.
-fn refusal_of_data(error: CodecError) -> Refused {
-    match error {
-        CodecError::Length { expected, .. } => {
-            Refused(RejectReason::WrongLength, u32::try_from(expected + 1).unwrap_or(u32::MAX))
-        }
-        _ => Refused(RejectReason::BadValue, 0),
-    }
+    Requester { sequence: frame.sequence, frame_type: frame.frame_type }
 }
 
 /// Whole microseconds, saturating.

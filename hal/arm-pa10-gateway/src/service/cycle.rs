@@ -6,10 +6,10 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use pb3dp_arm_pa10::bus::{BusDown, BusPort, FRAME_ROOM};
+use crate::bus::{BusDown, BusPort, FRAME_ROOM};
 use pb3dp_arm_pa10_protocol::arcnet::{self, Route};
 use pb3dp_arm_pa10_protocol::codec::{ArmCommand, AxisCommand, ControlMessage, ControlPacket};
-use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, FrameBytes, GatewayState};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{FrameBytes, GatewayState};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_platform::realtime::{now, sleep_until};
 use pb3dp_hal_platform::transport::{ByteLink, Symptom, Unplugged};
@@ -55,7 +55,7 @@ struct HostLine {
 #[derive(Clone, Copy)]
 struct Logged {
     state: GatewayState,
-    dialect: Option<Dialect>,
+    has_host: bool,
     overruns: u64,
     stop_unacknowledged: bool,
 }
@@ -77,7 +77,7 @@ pub(super) struct Cycle {
 impl Cycle {
     pub fn new(core: Gateway, bus: Box<dyn BusPort>, shared: Arc<Shared>, lines: Lines, queue: EventQueue) -> Self {
         let brake_time = core.config().brake_time;
-        let logged = Logged { state: core.status().state, dialect: None, overruns: 0, stop_unacknowledged: false };
+        let logged = Logged { state: core.status().state, has_host: false, overruns: 0, stop_unacknowledged: false };
         Self { core, bus: Some(bus), host: None, shared, lines, queue, logged, ends: None, brake_time }
     }
 
@@ -215,19 +215,20 @@ impl Cycle {
     }
 
     fn note_changes(&mut self) {
-        let GatewayStatus { state, cause, found, host, stop_unacknowledged, .. } = self.core.status();
+        let GatewayStatus { state, cause, found, has_host, stop_unacknowledged, .. } = self.core.status();
         let at = now();
         if state != self.logged.state {
             self.queue.tell(at, Happened::State { from: self.logged.state, to: state, cause, found });
         }
-        if let (Some(dialect), true) = (host, host != self.logged.dialect) {
-            self.queue.tell(at, Happened::HostGreeted(dialect));
+        if has_host && !self.logged.has_host {
+            self.queue.tell(at, Happened::HostGreeted);
         }
         if stop_unacknowledged != self.logged.stop_unacknowledged {
             self.queue
                 .tell(at, if stop_unacknowledged { Happened::StopUnacknowledged } else { Happened::StopAcknowledged });
         }
-        (self.logged.state, self.logged.dialect, self.logged.stop_unacknowledged) = (state, host, stop_unacknowledged);
+        (self.logged.state, self.logged.has_host, self.logged.stop_unacknowledged) =
+            (state, has_host, stop_unacknowledged);
     }
 
     /// Takes the lines that the connection thread has opened.

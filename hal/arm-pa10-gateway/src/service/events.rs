@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::Duration;
 
-use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, FaultReport, GatewayState, StopCause};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{FaultReport, GatewayState, StopCause};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_platform::transport::Symptom;
 
@@ -42,7 +42,7 @@ pub enum Happened {
     /// A line to a host is open.
     HostConnected,
     /// A host sent HELLO.
-    HostGreeted(Dialect),
+    HostGreeted,
     /// The line to the host is closed.
     HostGone(Symptom),
     /// A new connection replaced a silent one.

@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::Duration;
 
-use pb3dp_arm_pa10::bus::BusPort;
+use crate::bus::BusPort;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_platform::realtime::{now, sleep_until};
 use pb3dp_hal_platform::transport::{ByteLink, Connector};

@@ -16,10 +16,10 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use crate::bus::BusPort;
 use cycle::Cycle;
 use events::EventQueue;
 use listener::{Lines, Listener};
-use pb3dp_arm_pa10::bus::BusPort;
 use pb3dp_arm_pa10_protocol::gateway_protocol::ArmId;
 use pb3dp_hal_platform::local_socket::{LocalListener, LocalSocketError};
 use pb3dp_hal_platform::realtime::{self, Realtime, Shortfall};

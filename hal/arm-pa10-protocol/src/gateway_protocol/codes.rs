@@ -3,16 +3,6 @@
 use crate::codes::codes;
 
 codes! {
-    /// Which payloads commands and states have.
-    Dialect {
-        /// The data of the servo controller as it is, in one of its two wire formats.
-        Transparent = 1, "transparent";
-        /// Whole numbers in SI units.
-        GatewayV1 = 2, "gateway-v1";
-    }
-}
-
-codes! {
     /// What a command asks of brakes and servos.
     DriveMode {
         /// Brakes on, servos off.
@@ -113,10 +103,6 @@ codes! {
         WrongState = 6, "wrong-state";
         /// Repeated, overtaken or too old.
         Stale = 7, "stale";
-        /// Not in this dialect.
-        WrongDialect = 8, "wrong-dialect";
-        /// The letter is never passed on.
-        ForbiddenLetter = 9, "forbidden-letter";
         /// The servo controller did not answer.
         NoAnswer = 10, "no-answer";
         /// The cause of the latched state is still there.

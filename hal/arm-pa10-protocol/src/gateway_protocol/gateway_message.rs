@@ -4,12 +4,12 @@
 use core::net::{IpAddr, Ipv6Addr};
 
 use super::fields::{Fields, Put};
-use super::host_message::{Control, RawMessage};
+use super::host_message::{Control, MESSAGE_SET};
 use super::limits::{LIMITS_LENGTH, LIMITS_VERSION};
 use super::state::{STATE_LENGTH, State};
 use super::{
-    ArmId, ControlOperation, Dialect, Frame, GatewayState, Geometry, MessageError, MotionLimits, MotionQuantity,
-    Payload, RejectReason, StopCause,
+    ArmId, ControlOperation, Frame, GatewayState, Geometry, MessageError, MotionLimits, MotionQuantity, Payload,
+    RejectReason, StopCause,
 };
 use crate::codec::{Axis, CommWord, ServoWord, WireFormat, WiredSignals};
 
@@ -17,7 +17,9 @@ const HELLO_REPLY: u8 = 0x81;
 const STATE: u8 = 0x82;
 const CONTROL_REPLY: u8 = 0x83;
 const HEALTH: u8 = 0x84;
-const RAW_REPLY: u8 = 0x85;
+
+/// Bit of the message set in the first byte of the answer to HELLO, whose lower half says which sets a gateway has.
+const HAS_MESSAGE_SET: u8 = 1 << (MESSAGE_SET - 1);
 const EEPROM_LIMITS: u8 = 0x86;
 const HELD: u8 = 0x8D;
 const REJECT: u8 = 0x8E;
@@ -47,14 +49,8 @@ impl Firmware {
 /// What the gateway is and can.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HelloReply {
-    /// Whether it speaks the dialect `transparent`.
-    pub has_transparent: bool,
-    /// Whether it speaks the dialect `gateway-v1`.
-    pub has_gateway_v1: bool,
     /// Signals that reach it by wired inputs.
     pub wired: WiredSignals,
-    /// The dialect from now on.
-    pub dialect: Dialect,
     /// The wire format of the arm, as replies showed it; none before the first one.
     pub wire_format: Option<WireFormat>,
     /// The geometry of the arm, from the settings of the gateway.
@@ -218,8 +214,6 @@ pub enum GatewayMessage {
     ControlReply(ControlReply),
     /// To HEARTBEAT.
     Health(Health),
-    /// To RAW.
-    RawReply(RawMessage),
     /// To CONTROL with the operation `read-eeprom`.
     EepromLimits(EepromLimits),
     /// To the first HELLO of a connection, if another host holds the gateway. The connection ends.
@@ -251,10 +245,6 @@ impl GatewayMessage {
             Self::Health(health) => {
                 health.encode(&mut payload);
                 HEALTH
-            }
-            Self::RawReply(raw) => {
-                raw.encode(&mut payload);
-                RAW_REPLY
             }
             Self::EepromLimits(limits) => {
                 payload.put_u8(limits.axis.number());
@@ -294,7 +284,6 @@ impl GatewayMessage {
             STATE => Self::State(State::decode(fields(STATE_LENGTH)?)?),
             CONTROL_REPLY => Self::ControlReply(ControlReply::decode(fields(3)?)?),
             HEALTH => Self::Health(Health::decode(fields(38)?)?),
-            RAW_REPLY => Self::RawReply(RawMessage::decode(frame_type, &frame.payload)?),
             EEPROM_LIMITS => {
                 let mut fields = fields(9)?;
                 let axis = fields.code("axis", |byte| Axis::from_number(u16::from(byte)).ok())?;
@@ -327,9 +316,8 @@ fn to_ipv6(address: IpAddr) -> Ipv6Addr {
 
 impl HelloReply {
     fn encode(&self, payload: &mut Payload) {
-        let dialects = u8::from(self.has_transparent) | u8::from(self.has_gateway_v1) << 1;
-        payload.put_u8(dialects | self.wired.bits() << 4);
-        payload.put_u8(self.dialect.code());
+        payload.put_u8(HAS_MESSAGE_SET | self.wired.bits() << 4);
+        payload.put_u8(MESSAGE_SET);
         payload.put_u8(match self.wire_format {
             None => 0,
             Some(WireFormat::LittleEndian5x8) => 1,
@@ -347,11 +335,10 @@ impl HelloReply {
 
     fn decode(mut fields: Fields<'_>) -> Result<Self, MessageError> {
         let abilities = fields.u8();
-        let dialects = abilities & 0x0F;
-        if dialects > 3 {
-            return Err(fields.no_meaning("dialects", i64::from(dialects)));
+        if abilities & 0x0E != HAS_MESSAGE_SET {
+            return Err(fields.no_meaning("sets of messages", i64::from(abilities & 0x0F)));
         }
-        let dialect = fields.code("dialect", Dialect::from_code)?;
+        fields.version("set of messages", MESSAGE_SET)?;
         let wire_format = match fields.u8() {
             0 => None,
             1 => Some(WireFormat::LittleEndian5x8),
@@ -363,10 +350,7 @@ impl HelloReply {
         let cause = fields.code("cause", StopCause::from_code)?;
         fields.version("version of the limits", LIMITS_VERSION)?;
         Ok(Self {
-            has_transparent: dialects & 1 != 0,
-            has_gateway_v1: dialects & 2 != 0,
             wired: WiredSignals::from_bits(abilities >> 4),
-            dialect,
             wire_format,
             geometry,
             state,

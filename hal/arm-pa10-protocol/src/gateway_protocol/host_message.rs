@@ -4,17 +4,17 @@ use pb3dp_kinematics::JointVector;
 
 use super::fields::{Fields, Put};
 use super::limits::{LIMITS_LENGTH, LIMITS_VERSION};
-use super::{
-    ArmId, ControlOperation, Dialect, DriveMode, Frame, MessageError, MotionLimits, PAYLOAD_LENGTH_MAX, Payload,
-};
-use crate::codec::{Axis, ByteBuffer, CodecError, SpeedCounts};
+use super::{ArmId, ControlOperation, DriveMode, Frame, MessageError, MotionLimits, Payload};
+use crate::codec::{Axis, CodecError, SpeedCounts};
 
 /// The type of HELLO, which alone may come first.
 pub const HELLO: u8 = 0x01;
 const COMMAND: u8 = 0x02;
 const CONTROL: u8 = 0x03;
 const HEARTBEAT: u8 = 0x04;
-const RAW: u8 = 0x05;
+
+/// Number of this set of messages, in HELLO and its answer. Gateways of earlier versions also knew a set 1.
+pub(super) const MESSAGE_SET: u8 = 2;
 
 /// Length of the payload of COMMAND.
 pub(super) const COMMAND_LENGTH: usize = 1 + Axis::COUNT * 4;
@@ -25,18 +25,16 @@ const HOST_CYCLE_US: std::ops::RangeInclusive<u32> = 2_000..=10_000;
 /// Micro-radians per radian.
 const MICRO: f64 = 1e6;
 
-/// Opens the link: which dialect is spoken, and how often commands will come.
+/// Opens the link: how often commands will come, and which limits they keep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Hello {
-    /// The dialect of all that follows.
-    pub dialect: Dialect,
     /// Time between two commands, µs: 2000 to 10000.
     pub cycle_us: u32,
     /// Limits that all commands keep. A gateway with tighter limits refuses the host.
     pub limits: MotionLimits,
 }
 
-/// What the arm is to do until the next command, in the dialect `gateway-v1`.
+/// What the arm is to do until the next command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DriveCommand {
     /// Brakes and servos.
@@ -111,43 +109,17 @@ pub enum ArmOperation {
     Abort,
 }
 
-/// The data of the servo controller, passed through in the dialect `transparent`: a letter and what belongs to it, without the
-/// sequence number of the bus.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct RawMessage {
-    /// The letter.
-    pub letter: u8,
-    /// Its data.
-    pub data: ByteBuffer<{ PAYLOAD_LENGTH_MAX - 1 }>,
-}
-
-impl RawMessage {
-    pub(super) fn encode(&self, payload: &mut Payload) {
-        payload.put_u8(self.letter);
-        payload.extend(&self.data);
-    }
-
-    pub(super) fn decode(frame_type: u8, payload: &[u8]) -> Result<Self, MessageError> {
-        let too_short = MessageError::Length { frame_type, got: payload.len(), expected: 1 };
-        let (&letter, data) = payload.split_first().ok_or(too_short)?;
-        let data = ByteBuffer::from_slice(data).ok_or(too_short)?;
-        Ok(Self { letter, data })
-    }
-}
-
 /// A message of the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HostMessage {
     /// Opens the link.
     Hello(Hello),
-    /// What the arm is to do (`gateway-v1`).
+    /// What the arm is to do.
     Command(DriveCommand),
     /// Something besides motion.
     Control(Control),
     /// The host is alive, and wants to know how the gateway is.
     Heartbeat,
-    /// A message for the servo controller (`transparent`).
-    Raw(RawMessage),
 }
 
 impl HostMessage {
@@ -156,7 +128,7 @@ impl HostMessage {
         let mut payload = Payload::EMPTY;
         let frame_type = match self {
             Self::Hello(hello) => {
-                payload.put_u8(hello.dialect.code());
+                payload.put_u8(MESSAGE_SET);
                 payload.put_u32(hello.cycle_us);
                 payload.put_u8(LIMITS_VERSION);
                 hello.limits.encode(&mut payload);
@@ -174,10 +146,6 @@ impl HostMessage {
                 CONTROL
             }
             Self::Heartbeat => HEARTBEAT,
-            Self::Raw(raw) => {
-                raw.encode(&mut payload);
-                RAW
-            }
         };
         Frame { arm, frame_type, sequence, timestamp_us, payload }
     }
@@ -192,12 +160,13 @@ impl HostMessage {
         Ok(match frame_type {
             HELLO => {
                 let mut fields = fields(6 + LIMITS_LENGTH)?;
-                let (dialect, cycle_us) = (fields.code("dialect", Dialect::from_code)?, fields.u32());
+                fields.version("set of messages", MESSAGE_SET)?;
+                let cycle_us = fields.u32();
                 if !HOST_CYCLE_US.contains(&cycle_us) {
                     return Err(fields.no_meaning("time between two commands", i64::from(cycle_us)));
                 }
                 fields.version("version of the limits", LIMITS_VERSION)?;
-                Self::Hello(Hello { dialect, cycle_us, limits: MotionLimits::decode(&mut fields)? })
+                Self::Hello(Hello { cycle_us, limits: MotionLimits::decode(&mut fields)? })
             }
             COMMAND => {
                 let mut fields = fields(COMMAND_LENGTH)?;
@@ -214,7 +183,6 @@ impl HostMessage {
                 Self::Control(Control::from_bytes(operation, axis).ok_or(no_axis)?)
             }
             HEARTBEAT => fields(0).map(|_| Self::Heartbeat)?,
-            RAW => Self::Raw(RawMessage::decode(frame_type, &frame.payload)?),
             got => return Err(MessageError::Type { got }),
         })
     }

@@ -17,7 +17,7 @@ mod sequence;
 mod session;
 mod state;
 
-pub use codes::{ControlOperation, Dialect, DriveMode, GatewayState, Geometry, RejectReason, StopCause};
+pub use codes::{ControlOperation, DriveMode, GatewayState, Geometry, RejectReason, StopCause};
 pub use frame::{
     ArmId, FRAME_BYTES_MAX, FirstFrame, Frame, FrameBytes, OVERHEAD, PAYLOAD_LENGTH_MAX, PROTOCOL_VERSION, Payload,
     first_frame,
@@ -27,9 +27,9 @@ pub use gateway_message::{
     ControlReply, EepromLimits, FaultReport, Firmware, GatewayMessage, Health, HelloReply, Holder, Reject,
 };
 pub use host_message::HELLO;
-pub use host_message::{ArmOperation, Control, DriveCommand, Hello, HostMessage, RawMessage};
+pub use host_message::{ArmOperation, Control, DriveCommand, Hello, HostMessage};
 pub use limits::{AxisMotion, AxisMotionLimits, HostLimits, LimitOutOfRange, MotionLimits, MotionQuantity, WiderLimit};
-pub use line::{LineTooSlow, check_line, exchange_bytes, exchange_time};
+pub use line::{EXCHANGE_BYTES, LineTooSlow, check_line, exchange_time};
 pub use parser::{FrameParser, ParserCounters, Received};
 pub use sequence::{Arrival, SequenceTracker};
 pub use session::{

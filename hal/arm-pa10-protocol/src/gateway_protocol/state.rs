@@ -1,4 +1,4 @@
-//! The state of the arm in the dialect `gateway-v1`.
+//! The state of the arm, as the gateway reports it.
 
 use pb3dp_kinematics::JointVector;
 

@@ -5,7 +5,7 @@ use std::error::Error;
 use std::fs;
 use std::time::Duration;
 
-use pb3dp_arm_pa10::bus::{ArcnetError, ArcnetSocket, BusPort, FRAME_ROOM};
+use pb3dp_arm_pa10_gateway::bus::{ArcnetError, ArcnetSocket, BusPort, FRAME_ROOM};
 use pb3dp_arm_pa10_protocol::arcnet::{self, Route};
 use pb3dp_arm_pa10_protocol::codec::{Packet, WireFormat};
 use pb3dp_hal_platform::realtime::now;

@@ -8,15 +8,15 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use pb3dp_arm_pa10::arm::{Pa10Arm, Pa10ArmConfig, REALTIME, trip_line};
-use pb3dp_arm_pa10::bus::{BusPort, FrameSocket};
 use pb3dp_arm_pa10::driver::DriverConfig;
 use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockServer, MockServerConfig};
 use pb3dp_arm_pa10_emulation::mock_controller::{MockControllerConfig, Script, pa10_joints};
+use pb3dp_arm_pa10_gateway::bus::{BusPort, FrameSocket};
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
 use pb3dp_arm_pa10_gateway::service::{BusOpener, GatewayServer, GatewayServerConfig, Happened, HostSide};
 use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmId, Dialect, Firmware, GatewayState, Geometry, HostLimits, MotionLimits, StopCause,
+    ArmId, Firmware, GatewayState, Geometry, HostLimits, MotionLimits, StopCause,
 };
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_geometry::MonotonicTime;
@@ -104,7 +104,6 @@ impl Cell {
         let gateway = GatewayServer::start(GatewayServerConfig { gateway, realtime: realtime(55) }, bus, host)?;
         let link = GatewayLinkConfig {
             arm: ARM,
-            dialect: Dialect::GatewayV1,
             format: FORMAT,
             geometry: Geometry::Unknown,
             cycle: CYCLE,

@@ -7,8 +7,6 @@ use std::os::unix::fs::PermissionsExt;
 use std::time::Duration;
 
 use pb3dp_arm_pa10::serial::{Latency, PortDescription, PortKind, SerialConfig, SerialError, SerialLink, ports};
-use pb3dp_arm_pa10_protocol::codec::WireFormat;
-use pb3dp_arm_pa10_protocol::gateway_protocol::Dialect;
 use pb3dp_hal_platform::realtime::now;
 use pb3dp_hal_platform::transport::{ByteLink, wait};
 use rustix::termios::tcgetattr;
@@ -37,8 +35,7 @@ pub const GATEWAY: &str = "GATEWAY";
 const FTDI: [u16; 2] = [0x0403, 0x6001];
 
 pub fn config(path: &str, baud: u32, cycle: Duration) -> SerialConfig {
-    let (dialect, format) = (Dialect::GatewayV1, WireFormat::BigEndian6x10);
-    SerialConfig { path: path.to_owned(), baud, dialect, format, cycle }
+    SerialConfig { path: path.to_owned(), baud, cycle }
 }
 
 pub fn check(report: &mut Report) {

@@ -4,9 +4,7 @@ use std::time::Duration;
 
 use super::request::RequestError;
 use crate::driver::{DriverConfig, DriverConfigError};
-use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, WireFormat};
-use pb3dp_arm_pa10_protocol::gateway_protocol::ArmId;
-use pb3dp_arm_pa10_protocol::places::{BusTarget, GatewayLinkConfig};
+use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_hal_platform::realtime::Realtime;
 use pb3dp_hal_platform::transport::ConnectError;
 
@@ -22,28 +20,6 @@ pub struct Pa10ArmConfig {
     pub driver: DriverConfig,
     /// Settings of the link.
     pub link: GatewayLinkConfig,
-    /// Requested real-time scheduling of the thread. Without it other programs delay its cycles.
-    pub realtime: Realtime,
-}
-
-/// Settings of an arm whose ARCNET card is in this computer. Then only the servo controller is between the program and the arm: if
-/// its time-out is unknown, a gateway is safer.
-#[derive(Clone, Debug, PartialEq)]
-pub struct BusArmConfig {
-    /// Name for messages: `vs-robot`.
-    pub name: String,
-    /// Number of the arm in its workcell.
-    pub arm: ArmId,
-    /// Settings of the driver, with the cycle of the bus: 2 ms.
-    pub driver: DriverConfig,
-    /// Time between two exchanges of the control loop: from the cycle of the bus to half of the watchdog's limit.
-    pub exchange_cycle: Duration,
-    /// Wire format of the controller.
-    pub format: WireFormat,
-    /// Sequence numbers of the controller.
-    pub modulus: SequenceModulus,
-    /// Port of the bus.
-    pub target: BusTarget,
     /// Requested real-time scheduling of the thread. Without it other programs delay its cycles.
     pub realtime: Realtime,
 }
@@ -76,19 +52,6 @@ pub enum ArmOpenError {
         driver: Duration,
         /// Cycle of the link.
         link: Duration,
-    },
-    /// The control loop would be faster than the bus, or too slow for its watchdog.
-    #[error(
-        "arm {arm}: {got:?} between two exchanges is out of range: give at least the cycle of the bus ({bus:?}) and at most \
-         half of the time after which commands fade"
-    )]
-    ExchangeCycle {
-        /// Name of the arm.
-        arm: String,
-        /// The configured time.
-        got: Duration,
-        /// Cycle of the bus.
-        bus: Duration,
     },
     /// The link cannot be opened.
     #[error("arm {arm}: {target} cannot be opened")]

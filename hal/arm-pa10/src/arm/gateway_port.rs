@@ -1,4 +1,4 @@
-//! The link to a gateway with its byte transport.
+//! The link to a gateway with its byte transport. Only [`GatewayPort::wait`] and [`GatewayPort::reopen`] block.
 
 use std::os::fd::BorrowedFd;
 use std::time::Duration;
@@ -9,10 +9,9 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_platform::transport::{ByteLink, ConnectError, Connector, Unplugged, wait};
 
 use super::closer::Closer;
-use super::port::{Greeted, HostPort};
 use super::trace::{Direction, Tracer};
 use crate::driver::{Activity, Driver, Sample, Transmit};
-use crate::link::{GatewayLink, HEARTBEAT_INTERVAL, HELLO_TIMEOUT};
+use crate::link::{GatewayLink, HEARTBEAT_INTERVAL, HELLO_TIMEOUT, HelloError};
 
 /// HELLO is sent again after this time, in case it was lost.
 const HELLO_AGAIN: Duration = Duration::from_millis(200);
@@ -39,6 +38,18 @@ pub(super) struct GatewayPort {
     found: Option<HelloReply>,
     last_received: MonotonicTime,
     tracer: Tracer,
+}
+
+/// State of a greeting.
+pub(super) enum Greeted {
+    /// No answer yet.
+    Waiting,
+    /// It is the configured one, or one that cannot answer.
+    Done,
+    /// It is another one.
+    Refused(HelloError),
+    /// It does not answer.
+    Silent,
 }
 
 /// HELLO was sent.
@@ -84,10 +95,12 @@ impl GatewayPort {
         (self.pending, self.written) = (FrameBytes::EMPTY, 0);
         Err(gone)
     }
-}
 
-impl HostPort for GatewayPort {
-    fn reopen(&mut self) -> Result<(), ConnectError> {
+    /// Opens it again after a loss.
+    ///
+    /// # Errors
+    /// If it cannot be opened.
+    pub fn reopen(&mut self) -> Result<(), ConnectError> {
         self.closer.wait()?;
         self.bytes = Some(self.connector.connect()?);
         self.gone = None;
@@ -95,46 +108,56 @@ impl HostPort for GatewayPort {
         Ok(())
     }
 
-    fn warning(&self) -> Option<String> {
+    /// Warnings of the link.
+    pub fn warning(&self) -> Option<String> {
         self.bytes.as_ref().and_then(|bytes| bytes.warning())
     }
 
-    fn gone(&self) -> Option<Unplugged> {
+    /// Cause of the loss, if it is lost.
+    pub fn gone(&self) -> Option<Unplugged> {
         self.gone
     }
 
-    fn hello(&self) -> Option<&HelloReply> {
+    /// Identification of the gateway, if there is one.
+    pub fn hello(&self) -> Option<&HelloReply> {
         self.link.hello()
     }
 
-    fn found(&self) -> Option<&HelloReply> {
+    /// First state that the gateway reported at the greeting.
+    pub fn found(&self) -> Option<&HelloReply> {
         self.found.as_ref()
     }
 
-    fn shown(&self) -> Option<&Sample> {
+    /// Last measurement of an arm that its gateway had stopped before the greeting, if available.
+    pub fn shown(&self) -> Option<&Sample> {
         self.link.shown()
     }
 
-    fn line(&self) -> ParserCounters {
+    /// Counters of the bytes.
+    pub fn line(&self) -> ParserCounters {
         *self.link.counters()
     }
 
-    fn frames_unsent(&self) -> u64 {
+    /// Frames that the line did not accept.
+    pub fn frames_unsent(&self) -> u64 {
         self.frames_unsent
     }
 
-    fn greet(&mut self, now: MonotonicTime) {
+    /// Greets the other side.
+    pub fn greet(&mut self, now: MonotonicTime) {
         self.found = None;
         self.greet_again(now);
     }
 
-    fn greet_again(&mut self, now: MonotonicTime) {
+    /// Greets a busy gateway again.
+    pub fn greet_again(&mut self, now: MonotonicTime) {
         self.link.open(now);
         self.greeting = Some(Greeting { since: now, again: now + HELLO_AGAIN });
         self.last_received = now;
     }
 
-    fn greeted(&mut self, now: MonotonicTime) -> Greeted {
+    /// State of the greeting; greets again if there is no answer.
+    pub fn greeted(&mut self, now: MonotonicTime) -> Greeted {
         if let Some(hello) = self.link.hello() {
             self.found.get_or_insert(*hello);
             self.greeting = None;
@@ -156,7 +179,11 @@ impl HostPort for GatewayPort {
         Greeted::Waiting
     }
 
-    fn receive(&mut self, now: MonotonicTime, driver: &mut Driver) -> Result<(), Unplugged> {
+    /// Passes received messages to the driver.
+    ///
+    /// # Errors
+    /// If the link is lost: reported once.
+    pub fn receive(&mut self, now: MonotonicTime, driver: &mut Driver) -> Result<(), Unplugged> {
         let mut buffer = [0; 512];
         for _ in 0..READS_MAX {
             let Some(bytes) = &mut self.bytes else { return Ok(()) };
@@ -174,13 +201,17 @@ impl HostPort for GatewayPort {
         Ok(())
     }
 
-    fn send(&mut self, now: MonotonicTime, transmit: &Transmit, activity: Activity) {
+    /// Sends a message of the driver. One that cannot be sent gets no answer, which the driver counts.
+    pub fn send(&mut self, now: MonotonicTime, transmit: &Transmit, activity: Activity) {
         // A message that cannot be sent gets no answer, which the driver counts.
         let _ = self.link.send(now, transmit, activity);
     }
 
-    /// A frame without a written byte is replaced by a newer one.
-    fn flush(&mut self, now: MonotonicTime) -> Result<(), Unplugged> {
+    /// Writes the pending bytes that the line accepts. A frame without a written byte is replaced by a newer one.
+    ///
+    /// # Errors
+    /// If the link is lost: reported once.
+    pub fn flush(&mut self, now: MonotonicTime) -> Result<(), Unplugged> {
         loop {
             if self.written == 0
                 && let Some(newer) = self.link.poll_output(now)
@@ -209,19 +240,22 @@ impl HostPort for GatewayPort {
         }
     }
 
-    fn silence(&self, now: MonotonicTime) -> Option<u32> {
+    /// Number of missing signs of life of a peer that sends them without a request, if there are too many.
+    pub fn silence(&self, now: MonotonicTime) -> Option<u32> {
         let silent = now.saturating_since(self.last_received);
         let expected = self.bytes.is_some() && self.link.hello().is_some();
         (expected && silent >= SILENCE_MAX).then(|| (silent.as_millis() / HEARTBEAT_INTERVAL.as_millis()) as u32)
     }
 
-    fn next_deadline(&self) -> Option<MonotonicTime> {
+    /// Time of the next required call.
+    pub fn next_deadline(&self) -> Option<MonotonicTime> {
         self.bytes.as_ref()?;
         let greeting = self.greeting.map(|greeting| greeting.again.min(greeting.since + HELLO_TIMEOUT));
         [self.link.next_deadline(), greeting].into_iter().flatten().min()
     }
 
-    fn wait(&self, waker: Option<BorrowedFd<'_>>, timeout: Duration) {
+    /// Waits for input, for output space if something is pending, for the waker, or for this time.
+    pub fn wait(&self, waker: Option<BorrowedFd<'_>>, timeout: Duration) {
         wait(self.bytes.as_deref(), !self.pending.is_empty(), waker, timeout);
     }
 }

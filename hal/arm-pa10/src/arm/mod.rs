@@ -1,16 +1,14 @@
-//! A real PA-10, behind a gateway or on a bus of this computer: the arm traits on top of a separate thread.
+//! A real PA-10 behind its gateway: the arm traits on top of a separate thread.
 //!
 //! The thread owns the driver, the link and the transport. It cycles at absolute times, reacts to the line at once, keeps the
 //! gateway informed while nothing moves, and stops the arm when its owner sends no commands. [`Pa10Arm`] passes commands to the
 //! thread and receives samples; [`ArmMonitor`] observes it; [`TripHandle`] stops it; a [`trip_line`] makes the arms of a workcell
 //! stop each other.
 
-mod bus_port;
 mod closer;
 mod config;
 mod gateway_port;
 mod keyed;
-mod port;
 mod request;
 mod shared;
 mod trace;
@@ -18,7 +16,6 @@ mod trip_line;
 mod virtual_time;
 mod worker;
 
-use std::io::Write as _;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, channel};
 use std::task::Poll;
@@ -34,16 +31,14 @@ use pb3dp_hal_platform::realtime::{Realtime, Shortfall, enter};
 use pb3dp_hal_platform::transport::{ConnectError, Connector};
 use pb3dp_kinematics::JointState;
 
-use self::bus_port::ControllerPort;
 use self::closer::Closer;
 use self::gateway_port::GatewayPort;
-use self::port::HostPort;
 use self::shared::{PowerRequest, Shared};
 use self::trace::Tracer;
 use self::worker::{Progress, RELEASE_MAX, RequestResult, Worker};
 use crate::driver::{Activity, Driver, DriverConfig, Trip};
 
-pub use config::{ArmOpenError, BusArmConfig, Pa10ArmConfig, REALTIME};
+pub use config::{ArmOpenError, Pa10ArmConfig, REALTIME};
 pub use keyed::{AccessError, KeyedLink, KeyedTcp, read_shared_key};
 pub use request::RequestError;
 pub use shared::{ArmMonitor, ArmSnapshot};
@@ -56,9 +51,6 @@ const FRESH_CYCLES: f64 = 1.5;
 
 /// Maximum number of consecutive activities of a request.
 const ACTIVITIES_MAX: u32 = 3;
-
-/// Longest wait for a terminal when an arm without answers is released.
-const FINAL_FLUSH_MAX: Duration = Duration::from_millis(300);
 
 /// Failure to open an arm.
 const NOT_ENABLED: &str = "it is not enabled";
@@ -136,9 +128,7 @@ impl Pa10Arm {
         check_cycles(&name, &driver, &link)?;
         let (target, place) = (connector.target(), Place::Thread(realtime));
         let start = Start { name, arm: link.arm, driver, exchange_cycle: link.cycle, place, target };
-        let open = move |tracer| {
-            Ok(Box::new(GatewayPort::open(link, connector, Closer::start()?, tracer)?) as Box<dyn HostPort>)
-        };
+        let open = move |tracer| GatewayPort::open(link, connector, Closer::start()?, tracer);
         Self::start(start, open, clock, seat)
     }
 
@@ -159,34 +149,13 @@ impl Pa10Arm {
         let connector = end.connector(Arc::clone(&clock));
         let (target, place) = (connector.target(), Place::Virtual(Arc::clone(time), end));
         let start = Start { name, arm: link.arm, driver, exchange_cycle: link.cycle, place, target };
-        let open = move |tracer| {
-            Ok(Box::new(GatewayPort::open(link, connector, Closer::at_once(), tracer)?) as Box<dyn HostPort>)
-        };
+        let open = move |tracer| GatewayPort::open(link, connector, Closer::at_once(), tracer);
         Self::start(start, open, clock, seat)
-    }
-
-    /// The same for an arm whose ARCNET card is in this computer.
-    ///
-    /// # Errors
-    /// If the bus cannot be opened. An arm whose controller does not answer is opened, and stopped by that fault.
-    pub fn open_on_bus(config: BusArmConfig, clock: Arc<dyn Clock>, seat: TripSeat) -> Result<Self, ArmOpenError> {
-        let BusArmConfig { name, arm, driver, exchange_cycle, format, modulus, target, realtime } = config;
-        if exchange_cycle < driver.cycle || exchange_cycle * 2 > driver.watchdog.ramp_after() {
-            return Err(ArmOpenError::ExchangeCycle { arm: name, got: exchange_cycle, bus: driver.cycle });
-        }
-        let place = Place::Thread(realtime);
-        let start = Start { name, arm, driver, exchange_cycle, place, target: target.to_string() };
-        Self::start(
-            start,
-            move |tracer| Ok(Box::new(ControllerPort::open(format, modulus, target, tracer)?)),
-            clock,
-            seat,
-        )
     }
 
     fn start(
         start: Start,
-        open: impl FnOnce(Tracer) -> Result<Box<dyn HostPort>, ConnectError>,
+        open: impl FnOnce(Tracer) -> Result<GatewayPort, ConnectError>,
         clock: Arc<dyn Clock>,
         seat: TripSeat,
     ) -> Result<Self, ArmOpenError> {
@@ -316,11 +285,7 @@ impl Pa10Arm {
             RequestError::Unplugged(_) | RequestError::Connect(_) | RequestError::NoGateway => {
                 ArmErrorKind::Disconnected
             }
-            RequestError::Stopped(_)
-            | RequestError::Gateway(_)
-            | RequestError::Stuck(_)
-            | RequestError::StopUnacknowledged
-            | RequestError::NoThread => {
+            RequestError::Stopped(_) | RequestError::Gateway(_) | RequestError::Stuck(_) | RequestError::NoThread => {
                 if self.shared.snapshot().unplugged.is_some() {
                     ArmErrorKind::Disconnected
                 } else {
@@ -503,26 +468,5 @@ impl Drop for Pa10Arm {
         if thread.is_finished() {
             let _ = thread.join();
         }
-        if self.shared.snapshot().stop_unacknowledged {
-            final_flush(&self.info.name);
-        }
-    }
-}
-
-/// No program can stop this arm any more: the operator has to. The message goes to standard error, but a blocked terminal must not
-/// delay the other arms, which are released after this one.
-fn final_flush(name: &str) {
-    let latch_text = format!(
-        "\nEMERGENCY STOP: press it at arm {name}. The program releases the arm, its controller has not answered the stop \
-         order, and the arm may still move.\n"
-    );
-    let (reported, reports) = channel();
-    let tell = move || {
-        let mut errors = std::io::stderr();
-        let _ = errors.write_all(latch_text.as_bytes()).and_then(|()| errors.flush());
-        let _ = reported.send(());
-    };
-    if std::thread::Builder::new().name("arm last words".to_owned()).spawn(tell).is_ok() {
-        let _ = reports.recv_timeout(FINAL_FLUSH_MAX);
     }
 }

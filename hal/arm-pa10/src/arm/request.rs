@@ -7,7 +7,7 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::{GatewayState, HelloReply, Reject
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_platform::transport::{ConnectError, Unplugged};
 
-use super::port::{Greeted, HostPort};
+use super::gateway_port::{GatewayPort, Greeted};
 use super::shared::PowerRequest;
 use crate::driver::{
     Activity, Driver, DriverState, EmergencyStopCause, FaultCause, Latched, Refusal, Request, Sample, Trip,
@@ -48,12 +48,6 @@ pub enum RequestError {
     /// The stop order of the gateway takes too long.
     #[error("the gateway is still stopping the arm after {0:?}; try again in a second, and check the gateway's log")]
     StillStopping(Duration),
-    /// On a bus: the controller has not answered the stop order.
-    #[error(
-        "its controller has not answered the stop order, and the arm may still move: press its emergency stop; the stop order is repeated \
-         while this program runs"
-    )]
-    StopUnacknowledged,
     /// The link cannot be opened again.
     #[error("the link cannot be opened")]
     Connect(#[source] ConnectError),
@@ -97,7 +91,7 @@ pub(super) struct Running {
 /// Resources of a request.
 pub(super) struct RequestContext<'a> {
     pub driver: &'a mut Driver,
-    pub port: &'a mut dyn HostPort,
+    pub port: &'a mut GatewayPort,
     /// Clock of the host.
     pub cycle: Duration,
 }
@@ -217,9 +211,6 @@ impl Running {
             return Ok(None);
         }
         check_connected(context)?;
-        if context.driver.stop_unacknowledged() {
-            return Err(RequestError::StopUnacknowledged);
-        }
         Ok(Some(()))
     }
 

@@ -53,8 +53,6 @@ pub struct ArmSnapshot {
     pub line: ParserCounters,
     /// Frames that were dropped because the line accepted no more.
     pub frames_unsent: u64,
-    /// On a bus: the controller has not answered the stop order. The arm may move; the thread repeats the order.
-    pub stop_unacknowledged: bool,
 }
 
 /// Command of the control loop.
@@ -118,7 +116,6 @@ impl Shared {
             counters: LinkCounters::default(),
             line: ParserCounters::default(),
             frames_unsent: 0,
-            stop_unacknowledged: false,
         };
         Self {
             command: Mutex::new(command),

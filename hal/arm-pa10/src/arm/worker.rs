@@ -10,7 +10,7 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::ArmId;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Clock, JointCommand};
 
-use super::port::HostPort;
+use super::gateway_port::GatewayPort;
 use super::request::{RequestContext, RequestError, Running};
 use super::shared::{ArmSnapshot, Shared};
 use super::trip_line::TripSeat;
@@ -22,9 +22,6 @@ const IDLE: Duration = Duration::from_millis(50);
 /// Shortest time between two turns: after a lock that the owner held, or a time that has passed already.
 const SOON: Duration = Duration::from_micros(200);
 
-/// Time between two attempts to open a lost bus while the arm may still be driven.
-const OPEN_AGAIN: Duration = Duration::from_millis(200);
-
 /// Time limit, besides the brake time, to stop an arm that the program has released.
 pub(super) const RELEASE_MAX: Duration = Duration::from_millis(1300);
 
@@ -35,7 +32,7 @@ pub(super) struct Worker {
     pub arm: ArmId,
     pub cycle: Duration,
     pub driver: Driver,
-    pub port: Box<dyn HostPort>,
+    pub port: GatewayPort,
     pub clock: Arc<dyn Clock>,
     pub seat: TripSeat,
     pub shared: Arc<Shared>,
@@ -61,8 +58,6 @@ pub(super) struct Progress {
     /// Time of the last message, number of answers before it, and whether it was a cyclic command.
     asked: Option<(MonotonicTime, u64, bool)>,
     releasing: Option<MonotonicTime>,
-    /// Time of the last attempt to open a lost bus.
-    opened: Option<MonotonicTime>,
     failed: bool,
 }
 
@@ -96,7 +91,6 @@ impl Worker {
         self.take_request();
         self.take_command(now);
         self.release(now);
-        self.open_again(now);
         self.receive(now);
         self.advance_request(now);
         self.transmit();
@@ -122,7 +116,7 @@ impl Worker {
     fn advance_request(&mut self, now: MonotonicTime) {
         let Self { driver, port, cycle, .. } = self;
         let Some(running) = &mut self.progress.running else { return };
-        let mut context = RequestContext { driver, port: port.as_mut(), cycle: *cycle };
+        let mut context = RequestContext { driver, port, cycle: *cycle };
         if let Some(end) = running.advance(now, &mut context) {
             self.progress.ended = Some((running.number, end));
             self.progress.running = None;
@@ -161,19 +155,6 @@ impl Worker {
             self.driver.handle_trip(now, Trip::Fault(FaultCause::Released));
         } else {
             let _ = self.driver.handle_request(now, Request::Stop);
-        }
-    }
-
-    /// The controller has not received the stop order, and cannot over a lost bus. Only for a bus: a gateway stops its arm by
-    /// itself.
-    fn open_again(&mut self, now: MonotonicTime) {
-        if !self.driver.stop_unacknowledged() || self.port.gone().is_none() {
-            return;
-        }
-        if self.progress.opened.is_none_or(|last| now.saturating_since(last) >= OPEN_AGAIN) {
-            self.progress.opened = Some(now);
-            // The bus may not be back yet.
-            let _ = self.port.reopen();
         }
     }
 
@@ -255,7 +236,6 @@ impl Worker {
             counters: *driver.counters(),
             line: self.port.line(),
             frames_unsent: self.port.frames_unsent(),
-            stop_unacknowledged: driver.stop_unacknowledged(),
         }
     }
 
@@ -263,8 +243,7 @@ impl Worker {
     pub(super) fn is_over(&self) -> bool {
         let Some(since) = self.progress.releasing else { return false };
         let at_rest = self.driver.activity() == Activity::None || self.port.gone().is_some();
-        (at_rest && !self.driver.stop_unacknowledged())
-            || self.clock.now().saturating_since(since) >= RELEASE_MAX + self.driver.brake_time()
+        at_rest || self.clock.now().saturating_since(since) >= RELEASE_MAX + self.driver.brake_time()
     }
 
     fn wait(&mut self) {

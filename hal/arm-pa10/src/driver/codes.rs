@@ -10,7 +10,6 @@ codes! {
     FaultCause, "A fault stopped a PA-10" {
         LinkLost = "PB3DP-ARM-101": "Several exchanges in a row had no usable reply."; "If the arm moves, press its emergency stop. Check cable and power, and that no other program uses the line or the bus. Then reset.";
         MeasurementTooOld = "PB3DP-ARM-102": "The gateway answers, but its newest measurement is too old: the servo controller does not answer it."; "Look at the gateway's log and at the servo controller. Then reset.";
-        ReplyFormat = "PB3DP-ARM-103": "The controller answers in another wire format than the configuration states."; "Find out which generation the arm is, correct `wire_format`. Then reset.";
         Unplugged = "PB3DP-ARM-104": "The link was unplugged or closed."; "Connect it again. Then reset.";
         WrongArm = "PB3DP-ARM-105": "A frame of another arm came through this link."; "Correct the number of the arm, or swap the links of the two arms. Then reset.";
         CommandTimeout = "PB3DP-ARM-106": "The control loop sent no velocity for longer than the watchdog allows."; "Find what delayed the control loop: `pb3dp doctor`. Then reset.";
@@ -27,7 +26,6 @@ codes! {
         LimitsDiffer = "PB3DP-ARM-117": "The servo controller keeps another limit for an axis than the configuration."; "Find out whether this is the arm of the configuration, and correct the wrong one. Then reset.";
         ActivityTimeout = "PB3DP-ARM-118": "Enabling, stopping or resetting took too long."; "Check that the arm answers: `pb3dp arm probe`. Then reset.";
         OtherArm = "PB3DP-ARM-119": "The other arm of the cell stopped and stopped this one, too."; "Look at the message of the other arm. Reset both.";
-        FoundDriven = "PB3DP-ARM-120": "The arm was in motion or in control mode before this program asked for it, and was stopped: the program that drove it died."; "Find out which program that was, and why it died. Then reset.";
         Supervisor = "PB3DP-ARM-121": "The supervisor of this program stopped the arm."; "Look at the message of the supervisor. Then reset.";
         Released = "PB3DP-ARM-122": "The program released the arm while its brakes were open."; "Stop the arm before the program ends.";
         Program = "PB3DP-ARM-123": "The thread that watches the arm failed. This is a defect of pb3dp."; "Report it with the log, and start the program again.";

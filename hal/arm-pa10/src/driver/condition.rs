@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use pb3dp_arm_pa10_protocol::codec::{
-    Axis, AxisStatus, CommAlarm, CommStatus, ServoAlarm, Signal, SignalSource, StatusSignals, StatusWord, WireFormat,
+    Axis, AxisStatus, CommAlarm, CommStatus, ServoAlarm, Signal, SignalSource, StatusSignals, StatusWord,
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{GatewayState, MotionQuantity, RejectReason, StopCause};
 use pb3dp_kinematics::JointVector;
@@ -100,17 +100,6 @@ pub enum FaultCause {
         age: Duration,
         /// [`MEASUREMENT_AGE_MAX`].
         allowed: Duration,
-    },
-    /// Replies of the controller have the length of the other wire format.
-    #[error(
-        "the controller answers in {got}, the configuration says {configured}; find out which generation the arm is, correct \
-         wire_format, then reset"
-    )]
-    ReplyFormat {
-        /// Format that has replies of this length.
-        got: WireFormat,
-        /// Format of the configuration.
-        configured: WireFormat,
     },
     /// The link was unplugged or closed.
     #[error("the link is gone (unplugged); if the arm moves, press its emergency stop; connect it again, then reset")]
@@ -252,12 +241,6 @@ pub enum FaultCause {
         /// Number of the other arm.
         arm: u8,
     },
-    /// Another program drove the arm before, and died.
-    #[error(
-        "the arm was in motion or in its control mode before this program requested it, and was stopped: the program that drove it \
-         died; inspect the arm, find out which program and why, then reset"
-    )]
-    FoundDriven,
     /// The supervisor of this program stopped the arm.
     #[error("the supervisor of this program stopped the arm; check its message, then reset")]
     Supervisor,

@@ -159,12 +159,6 @@ impl LinkMonitor {
     pub fn too_many_bad(&self) -> Option<u32> {
         Some(self.recent.count()).filter(|bad| *bad > BAD_TOLERATED)
     }
-
-    /// Messages in a row without a usable reply.
-    pub fn misses(&self) -> u32 {
-        self.misses
-    }
-
     pub fn forget_misses(&mut self) {
         self.misses = 0;
         self.recent.clear();

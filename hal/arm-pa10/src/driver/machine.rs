@@ -100,12 +100,6 @@ pub struct Driver {
     pub(super) control_started: bool,
     /// The last cyclic command opened the brakes.
     pub(super) brakes_open: bool,
-    /// A gateway is between the driver and the controller, and repeats unanswered orders by itself.
-    pub(super) has_gateway: bool,
-    /// On a bus: the arm may be driven, because no E was answered.
-    pub(super) stop_unconfirmed: bool,
-    /// Positions at the beginning of the connection.
-    pub(super) first_position_rad: Option<JointVector>,
 }
 
 /// An outstanding message.
@@ -155,9 +149,6 @@ impl Driver {
             exchange: 0,
             control_started: false,
             brakes_open: false,
-            has_gateway: false,
-            stop_unconfirmed: false,
-            first_position_rad: None,
         })
     }
 
@@ -316,7 +307,7 @@ impl Driver {
             let is_last = self.activity() == Activity::Stopping && self.state.is_latched();
             self.trip(now, Trip::Fault(FaultCause::ActivityTimeout { activity: self.activity(), allowed }));
             if is_last {
-                self.finish_stop(now, false);
+                self.finish_stop(now);
             }
         }
     }
@@ -327,7 +318,6 @@ impl Driver {
         if self.outstanding.is_some() || now < self.next_transmit {
             return None;
         }
-        self.advance_look(now);
         self.advance_stop(now);
         let message = self.due_message(now)?;
         self.note_sent(now, &message);
@@ -339,7 +329,7 @@ impl Driver {
 
     /// Time of the next required poll, if the driver waits for anything but a request.
     pub fn next_deadline(&self) -> Option<MonotonicTime> {
-        let sends = self.phase != Phase::Steady || self.is_cycling() || self.is_listening();
+        let sends = self.phase != Phase::Steady || self.is_cycling();
         let transmit = (sends && self.outstanding.is_none()).then_some(self.next_transmit);
         let reply = self.outstanding.map(|outstanding| outstanding.deadline);
         let command = match self.motion {
@@ -365,10 +355,8 @@ impl Driver {
         self.config.brake_time
     }
 
-    /// The gateway's command time-out: the warm-up must show a link that is fast enough for both sides. Without a gateway the
-    /// driver speaks to the controller itself.
+    /// The gateway's command time-out: the warm-up must show a link that is fast enough for both sides.
     pub fn note_watchdog(&mut self, stop_after: Duration) {
-        self.has_gateway = true;
         self.stops_after = stop_after.min(self.config.watchdog.stop_after());
     }
 
@@ -415,7 +403,8 @@ impl Driver {
 
     fn begin(&mut self, now: MonotonicTime, activity: Activity) {
         let phase = match activity {
-            Activity::Connecting | Activity::Clearing => self.begin_look(activity),
+            Activity::Clearing => Phase::Looking { step: LookStep::Clear(0), activity },
+            Activity::Connecting => Phase::Looking { step: self.first_look(), activity },
             Activity::Enabling => {
                 self.warm_up_failure = None;
                 Phase::Enabling { started: false }
@@ -450,18 +439,15 @@ impl Driver {
             Phase::Steady => match self.state {
                 DriverState::Enabled => self.uniform(AxisCommand::Braked),
                 DriverState::Holding | DriverState::Moving => self.velocity_message(now),
-                _ if self.is_listening() => self.closing(),
                 DriverState::Disconnected | DriverState::Connected | DriverState::Fault | DriverState::EStop => {
                     return None;
                 }
             },
             Phase::Looking { step, .. } => match step {
-                LookStep::Close { .. } => self.closing(),
-                LookStep::FirstEnd { .. } => ControlMessage::End,
                 LookStep::Clear(index) => ControlMessage::ClearAlarm(Axis::ALL[index]),
                 LookStep::Limits(index) => ControlMessage::ReadEeprom(Axis::ALL[index]),
                 LookStep::Start => ControlMessage::Start,
-                LookStep::Look | LookStep::Check { .. } => self.uniform(AxisCommand::Off),
+                LookStep::Look => self.uniform(AxisCommand::Off),
                 LookStep::End => ControlMessage::End,
             },
             Phase::Enabling { started: false } => ControlMessage::Start,
@@ -496,7 +482,6 @@ impl Driver {
             }
             _ => {}
         }
-        self.note_look_sent(now);
         self.note_stop_sent(now);
         // Cycles keep their grid; missed ones are skipped and counted.
         self.next_transmit = self.next_transmit + self.config.cycle;

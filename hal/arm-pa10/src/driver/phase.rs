@@ -19,26 +19,9 @@ pub(super) enum Phase {
     Stopping(StopStep),
 }
 
-/// First answer of a controller to the order that closes its brakes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum FirstAnswer {
-    /// None yet.
-    Nothing,
-    /// E: the controller may not answer C.
-    End,
-    /// C.
-    Cyclic,
-}
-
 /// Steps of connecting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum LookStep {
-    /// On a bus, brakes on with servos on, until this time: the previous user of the arm is unknown.
-    Close { until: Option<MonotonicTime>, acknowledged: FirstAnswer },
-    /// E, with the number of attempts, before any other message.
-    FirstEnd { tries: u32, acknowledged: FirstAnswer },
-    /// C once more: does this controller answer C outside its control mode too?
-    Check { left: u32 },
     /// Clear the alarm of this axis, 0 to 6 (clearing only).
     Clear(usize),
     /// Read the limits of this axis, 0 to 6 (if configured).
@@ -59,7 +42,7 @@ pub(super) enum StopStep {
     /// Speed 0 for this number of further cycles.
     Rest { left: u32 },
     /// Brakes on, servos on, until this time (from the first command on).
-    Brake { until: Option<MonotonicTime>, acknowledged: bool },
+    Brake { until: Option<MonotonicTime> },
     /// Brakes on, servos off, once.
     Off,
     /// E, with the number of attempts.

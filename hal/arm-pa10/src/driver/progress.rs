@@ -25,9 +25,6 @@ const BRAKES_LATER_MAX: Duration = Duration::from_millis(500);
 impl Driver {
     pub(super) fn handle_sample(&mut self, now: MonotonicTime, sample: &Sample) {
         self.keep(now, sample);
-        if self.note_acknowledged(now, sample) {
-            return;
-        }
         let found = sample.condition.trip(&self.config.signals);
         let lost = || {
             let condition = &sample.condition;
@@ -73,9 +70,6 @@ impl Driver {
         match self.phase {
             Phase::Looking { step, activity } => {
                 let next = match step {
-                    // These are answered by samples.
-                    LookStep::Close { .. } | LookStep::Check { .. } => return,
-                    LookStep::FirstEnd { acknowledged, .. } => self.after_first_end(now, acknowledged, activity),
                     LookStep::Clear(index) if index + 1 < Axis::COUNT => LookStep::Clear(index + 1),
                     LookStep::Clear(_) => self.first_look(),
                     LookStep::Limits(index) if index + 1 < Axis::COUNT => LookStep::Limits(index + 1),
@@ -94,7 +88,7 @@ impl Driver {
                 self.link.begin_warm_up(self.stops_after / 2);
                 self.phase = Phase::Enabling { started: true };
             }
-            Phase::Stopping(StopStep::End { .. }) => self.finish_stop(now, true),
+            Phase::Stopping(StopStep::End { .. }) => self.finish_stop(now),
             _ => {}
         }
     }
@@ -126,9 +120,6 @@ impl Driver {
     /// An exchange without a usable reply.
     pub(super) fn handle_miss(&mut self, now: MonotonicTime) {
         let too_many = self.link.handle_miss();
-        if self.note_unacknowledged(now) {
-            return;
-        }
         if let Phase::Looking { step: LookStep::Clear(_), .. } = self.phase {
             // Not every controller knows this letter.
             self.link.forget_misses();
@@ -142,7 +133,7 @@ impl Driver {
         if let Phase::Stopping(StopStep::End { tries }) = self.phase
             && tries >= END_TRIES_MAX
         {
-            self.finish_stop(now, false);
+            self.finish_stop(now);
         }
     }
 
@@ -159,7 +150,7 @@ impl Driver {
         match self.phase {
             // The gateway may have stopped the arm by itself before, or its brakes may have started to close later than counted
             // here.
-            Phase::Stopping(StopStep::End { tries }) if tries >= END_TRIES_MAX => self.finish_stop(now, false),
+            Phase::Stopping(StopStep::End { tries }) if tries >= END_TRIES_MAX => self.finish_stop(now),
             Phase::Stopping(StopStep::End { .. }) => {}
             // The gateway may have stopped the arm by itself before: the order continues by count and time.
             Phase::Stopping(_) if self.state.is_latched() => {}
@@ -232,12 +223,10 @@ impl Driver {
         self.motion = self.stopping_motion(now, emergency);
         if self.brakes_open {
             self.phase = Phase::Stopping(first);
-        } else if self.stop_unconfirmed {
-            self.phase = Phase::Stopping(StopStep::Brake { until: None, acknowledged: false });
         } else if self.control_started {
             self.phase = Phase::Stopping(StopStep::Off);
         } else {
-            self.finish_stop(now, false);
+            self.finish_stop(now);
         }
     }
 
@@ -246,13 +235,8 @@ impl Driver {
         let Phase::Stopping(step) = self.phase else { return };
         let next = match step {
             StopStep::Ramp if self.motion.is_at_rest(now) => StopStep::Rest { left: self.config.rest_cycles },
-            StopStep::Rest { left: 0 } => StopStep::Brake { until: None, acknowledged: false },
-            StopStep::Brake { until: Some(until), acknowledged } if now >= until => {
-                if !acknowledged && !self.has_gateway {
-                    return self.give_up_stop(now);
-                }
-                StopStep::Off
-            }
+            StopStep::Rest { left: 0 } => StopStep::Brake { until: None },
+            StopStep::Brake { until: Some(until) } if now >= until => StopStep::Off,
             _ => return,
         };
         self.phase = Phase::Stopping(next);
@@ -264,19 +248,15 @@ impl Driver {
         let next = match step {
             StopStep::Ramp => return,
             StopStep::Rest { left } => StopStep::Rest { left: left.saturating_sub(1) },
-            StopStep::Brake { until, acknowledged } => {
-                StopStep::Brake { until: Some(until.unwrap_or(now + self.config.brake_time)), acknowledged }
-            }
+            StopStep::Brake { until } => StopStep::Brake { until: Some(until.unwrap_or(now + self.config.brake_time)) },
             StopStep::Off => StopStep::End { tries: 0 },
             StopStep::End { tries } => StopStep::End { tries: tries + 1 },
         };
         self.phase = Phase::Stopping(next);
     }
 
-    /// The stop order is complete or given up for now, depending on an answer to E.
-    pub(super) fn finish_stop(&mut self, now: MonotonicTime, answered: bool) {
-        let may_be_driven = self.control_started || self.brakes_open || self.stop_unconfirmed;
-        self.stop_unconfirmed = may_be_driven && !answered && !self.has_gateway;
+    /// The stop order is complete, or given up: the gateway repeats what the controller does not answer.
+    pub(super) fn finish_stop(&mut self, now: MonotonicTime) {
         self.control_started = false;
         self.brakes_open = false;
         self.motion = Motion::Rest;

@@ -3,13 +3,12 @@
 use std::time::Duration;
 
 use pb3dp_arm_pa10_protocol::codec::{
-    Axis, AxisCommand, CodecError, CommAlarm, ControlMessage, ReplyMessage, ServoAlarm, ServoWord, Signal,
-    SignalSource, WireFormat,
+    Axis, AxisCommand, CodecError, CommAlarm, ControlMessage, ServoAlarm, ServoWord, Signal, SignalSource, WireFormat,
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmOperation, BRAKE_TIME_MAX, Control, DelayMeter, Dialect, DriveCommand, DriveMode, FaultReport, Frame,
-    FrameBytes, FrameParser, GatewayMessage, GatewayState, Geometry, Hello, HelloReply, Holder, HostMessage,
-    ParserCounters, RawMessage, Received, Reject, RejectReason, StopCause, WiderLimit,
+    ArmOperation, BRAKE_TIME_MAX, Control, DelayMeter, DriveCommand, DriveMode, FaultReport, Frame, FrameBytes,
+    FrameParser, GatewayMessage, GatewayState, Geometry, Hello, HelloReply, Holder, HostMessage, ParserCounters,
+    Received, Reject, RejectReason, StopCause, WiderLimit,
 };
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_geometry::MonotonicTime;
@@ -39,16 +38,6 @@ pub enum HeldError {
 /// Why a gateway is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum HelloError {
-    /// It uses another dialect.
-    #[error(
-        "the gateway uses dialect {got}, the configuration says {configured}; configure the dialect of the gateway"
-    )]
-    Dialect {
-        /// Dialect of the gateway.
-        got: Dialect,
-        /// Dialect of the configuration.
-        configured: Dialect,
-    },
     /// It has detected another wire format.
     #[error(
         "the arm at the gateway answers in {got}, the configuration says {configured}; find out which generation the arm is"
@@ -123,8 +112,8 @@ pub enum LinkError {
     /// The message cannot be encoded.
     #[error("the message cannot be encoded")]
     Codec(#[from] CodecError),
-    /// The dialect has no field for single-axis commands.
-    #[error("the dialect gateway-v1 has one mode for all axes; use one mode, or the dialect transparent")]
+    /// A command has one mode for all axes.
+    #[error("a command to the gateway has one mode for all axes")]
     MixedModes,
 }
 
@@ -197,8 +186,7 @@ impl GatewayLink {
         // The gateway may have been restarted, and its clock with it.
         self.delay = DelayMeter::default();
         let cycle_us = u32::try_from(self.config.cycle.as_micros()).unwrap_or(u32::MAX);
-        let hello =
-            HostMessage::Hello(Hello { dialect: self.config.dialect, cycle_us, limits: self.config.limits.asked });
+        let hello = HostMessage::Hello(Hello { cycle_us, limits: self.config.limits.asked });
         self.waiting = Waiting::Hello;
         self.asked = self.emit(now, &hello);
     }
@@ -213,8 +201,7 @@ impl GatewayLink {
         self.hello.as_ref()
     }
 
-    /// Last measurement of an arm that its gateway had stopped before the greeting. Only in the dialect `gateway-v1`, and only if
-    /// there is a measurement.
+    /// Last measurement of an arm that its gateway had stopped before the greeting, if there is one.
     pub fn shown(&self) -> Option<&Sample> {
         self.shown.as_ref()
     }
@@ -291,10 +278,7 @@ impl GatewayLink {
     }
 
     fn say(&mut self, now: MonotonicTime, message: ControlMessage) -> Result<(), LinkError> {
-        let encoded = match self.config.dialect {
-            Dialect::Transparent => transparent(self.config.format, &message)?,
-            Dialect::GatewayV1 => gateway_v1(&message)?,
-        };
+        let encoded = encoded(&message)?;
         self.waiting = Waiting::Message(message);
         self.asked = self.emit(now, &encoded);
         Ok(())
@@ -406,7 +390,7 @@ impl GatewayLink {
     /// A gateway that has stopped its arm answers a command with its last measurement, and does not execute the command.
     fn greeted(&mut self, now: MonotonicTime, hello: &HelloReply) {
         let is_stopped = matches!(hello.state, GatewayState::Fault | GatewayState::EmergencyStop);
-        if is_stopped && hello.dialect == Dialect::GatewayV1 {
+        if is_stopped {
             self.waiting = Waiting::Shown(*hello);
             self.asked = self.emit(now, &HostMessage::Command(DriveCommand::at_rest(DriveMode::Off)));
         } else {
@@ -416,10 +400,7 @@ impl GatewayLink {
 
     /// Whether this is the configured gateway.
     fn judge(&self, hello: &HelloReply) -> Result<CommandWatchdog, HelloError> {
-        let GatewayLinkConfig { dialect, format, geometry, .. } = self.config;
-        if hello.dialect != dialect {
-            return Err(HelloError::Dialect { got: hello.dialect, configured: dialect });
-        }
+        let GatewayLinkConfig { format, geometry, .. } = self.config;
         if let Some(got) = hello.wire_format.filter(|got| *got != format) {
             return Err(HelloError::Format { got, configured: format });
         }
@@ -454,16 +435,6 @@ impl GatewayLink {
                 let (lower_rad, upper_rad) = (rad(limits.negative_limit_urad), rad(limits.positive_limit_urad));
                 Ok(Reply::Limits(AxisLimits { axis: limits.axis, lower_rad, upper_rad }))
             }
-            GatewayMessage::RawReply(raw) => {
-                match ReplyMessage::decode_data(self.config.format, asked, raw.letter, &raw.data) {
-                    Ok(message) => Ok(match super::reply_of(&message, self.config.format) {
-                        Reply::Sample(sample) => Reply::Sample(Sample { age: late, ..sample }),
-                        other => other,
-                    }),
-                    Err(CodecError::ReplyLetter { .. }) => Err(BadReply::Mismatched),
-                    Err(_) => Err(BadReply::Damaged),
-                }
-            }
             _ => Err(BadReply::Mismatched),
         }
     }
@@ -497,14 +468,8 @@ fn control_of(message: &ControlMessage) -> Option<Control> {
     })
 }
 
-fn transparent(format: WireFormat, message: &ControlMessage) -> Result<HostMessage, LinkError> {
-    let data = message.encode_data(format)?;
-    let too_long = CodecError::PacketLength { got: data.len() };
-    let data = pb3dp_arm_pa10_protocol::codec::ByteBuffer::from_slice(&data).ok_or(too_long)?;
-    Ok(HostMessage::Raw(RawMessage { letter: message.letter().byte(), data }))
-}
-
-fn gateway_v1(message: &ControlMessage) -> Result<HostMessage, LinkError> {
+/// A message of the driver as a message of the gateway.
+fn encoded(message: &ControlMessage) -> Result<HostMessage, LinkError> {
     if let Some(control) = control_of(message) {
         return Ok(HostMessage::Control(control));
     }

@@ -11,8 +11,7 @@ use std::io::{Read, Write};
 use std::os::fd::{AsRawFd, BorrowedFd, OwnedFd};
 use std::time::Duration;
 
-use pb3dp_arm_pa10_protocol::codec::WireFormat;
-use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, LineTooSlow, check_line};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{LineTooSlow, check_line};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_hal_platform::transport::{ByteLink, ConnectError, Connector, Unplugged, judge, wait_for_hangup};
 use rustix::fs::{FlockOperation, Mode, OFlags, flock};
@@ -35,10 +34,6 @@ pub struct SerialConfig {
     pub path: String,
     /// Bits per second.
     pub baud: u32,
-    /// Dialect: decides with the wire format whether the line is fast enough.
-    pub dialect: Dialect,
-    /// Wire format of the arm.
-    pub format: WireFormat,
     /// Time between two commands.
     pub cycle: Duration,
 }
@@ -46,7 +41,7 @@ pub struct SerialConfig {
 impl SerialConfig {
     /// The port at `path` with `baud` bits per second, for this link.
     pub fn of_link(path: String, baud: u32, link: &GatewayLinkConfig) -> Self {
-        Self { path, baud, dialect: link.dialect, format: link.format, cycle: link.cycle }
+        Self { path, baud, cycle: link.cycle }
     }
 }
 
@@ -126,9 +121,9 @@ impl SerialLink {
     /// # Errors
     /// If another program uses it, it is too slow for the cycle, or it runs at another rate than requested.
     pub fn open(config: &SerialConfig) -> Result<Self, SerialError> {
-        let SerialConfig { path, baud, dialect, format, cycle } = config;
+        let SerialConfig { path, baud, cycle } = config;
         let port = || path.clone();
-        check_line(*dialect, *format, *baud, *cycle).map_err(|source| SerialError::TooSlow { port: port(), source })?;
+        check_line(*baud, *cycle).map_err(|source| SerialError::TooSlow { port: port(), source })?;
         let other =
             |source: Box<dyn std::error::Error + Send + Sync>| SerialError::Open { port: port(), baud: *baud, source };
         let probe = probe(path)?;

@@ -13,7 +13,7 @@ use pb3dp_arm_pa10::arm::{Pa10Arm, Pa10ArmConfig, trip_line};
 use pb3dp_arm_pa10::driver::DriverConfig;
 use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, GatewayState, Geometry, HostLimits, StopCause};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, GatewayState, Geometry, HostLimits, StopCause};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_test_support::cell_end::{Cell, CellEnd};
 use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, JointCommand};
@@ -33,12 +33,10 @@ fn velocity() -> JointCommand {
 }
 
 fn open(path: &str) -> Pa10Arm {
-    let (dialect, format) = (Dialect::GatewayV1, WireFormat::BigEndian6x10);
-    let serial = SerialConfig { path: path.to_owned(), baud: 921_600, dialect, format, cycle: CYCLE };
+    let serial = SerialConfig { path: path.to_owned(), baud: 921_600, cycle: CYCLE };
     let link = GatewayLinkConfig {
         arm: ArmId(6),
-        dialect,
-        format,
+        format: WireFormat::BigEndian6x10,
         geometry: Geometry::Unknown,
         cycle: CYCLE,
         limits: HostLimits::WIDEST,

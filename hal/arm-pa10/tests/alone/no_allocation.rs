@@ -9,7 +9,7 @@ use pb3dp_arm_pa10::arm::{Pa10Arm, Pa10ArmConfig, trip_line};
 use pb3dp_arm_pa10::driver::DriverConfig;
 use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Geometry, HostLimits};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Geometry, HostLimits};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_test_support::far_end::FarEnd;
 use pb3dp_arm_pa10_test_support::gateway::FakeGateway;
@@ -22,13 +22,12 @@ use pb3dp_kinematics::JointVector;
 pub fn exchanges() {
     const CYCLE: Duration = Duration::from_millis(10);
     const ASIDE: [f64; 6] = [0.55, 0.2, 0.4, 0.7, 0.85, 0.3];
-    let (dialect, format) = (Dialect::GatewayV1, WireFormat::BigEndian6x10);
+    let format = WireFormat::BigEndian6x10;
     let pty = Pty::open().unwrap();
-    let serial = SerialConfig { path: pty.name().to_owned(), baud: 460_800, dialect, format, cycle: CYCLE };
+    let serial = SerialConfig { path: pty.name().to_owned(), baud: 460_800, cycle: CYCLE };
     let far = FarEnd::serve_after(Box::new(pty), FakeGateway::new(ArmId(2), format), leave_this_thread_out);
     let link = GatewayLinkConfig {
         arm: ArmId(2),
-        dialect,
         format,
         geometry: Geometry::Unknown,
         cycle: CYCLE,

@@ -9,7 +9,7 @@ use pb3dp_arm_pa10::arm::{ArmOpenError, Pa10Arm, Pa10ArmConfig, TripSeat, trip_l
 use pb3dp_arm_pa10::driver::{DriverConfig, DriverState, FaultCause, LimitsCheck, Trip};
 use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, GatewayState, Geometry, HostLimits, StopCause};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, GatewayState, Geometry, HostLimits, StopCause};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_test_support::cell_end::{Cell, CellEnd};
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
@@ -35,13 +35,12 @@ fn home() -> JointVector {
     JointVector::from([0.2, -0.5, 0.3, 1.1, 3.1, 0.9, 0.1])
 }
 
-fn config(arm: u8, dialect: Dialect, format: WireFormat) -> Pa10ArmConfig {
+fn config(arm: u8, format: WireFormat) -> Pa10ArmConfig {
     let tolerance_rad = 0.5f64.to_radians();
     let limits = LimitsCheck::Compare { lower_rad: -limits(), upper_rad: limits(), tolerance_rad };
     let driver = DriverConfig { limits, ..DriverConfig::with_cycle(CYCLE) };
     let link = GatewayLinkConfig {
         arm: ArmId(arm),
-        dialect,
         format,
         geometry: Geometry::Unknown,
         cycle: CYCLE,
@@ -59,8 +58,7 @@ fn open(
     clock: &Arc<SystemClock>,
 ) -> (Result<Pa10Arm, ArmOpenError>, CellEnd) {
     let pty = Pty::open().unwrap();
-    let GatewayLinkConfig { dialect, format, cycle, .. } = config.link;
-    let serial = SerialConfig { path: pty.name().to_owned(), baud: 921_600, dialect, format, cycle };
+    let serial = SerialConfig::of_link(pty.name().to_owned(), 921_600, &config.link);
     let end = CellEnd::serve(Box::new(pty), cell);
     (Pa10Arm::open(config, Box::new(serial), Arc::clone(clock) as Arc<_>, seat), end)
 }
@@ -77,15 +75,15 @@ struct Rig {
 }
 
 impl Rig {
-    fn new(arm: u8, dialect: Dialect, format: WireFormat, seat: TripSeat, clock: &Arc<SystemClock>) -> Self {
-        let (arm, end) = open(config(arm, dialect, format), Cell::new(ArmId(arm), format, home()), seat, clock);
+    fn new(arm: u8, format: WireFormat, seat: TripSeat, clock: &Arc<SystemClock>) -> Self {
+        let (arm, end) = open(config(arm, format), Cell::new(ArmId(arm), format, home()), seat, clock);
         let arm = arm.unwrap_or_else(|error| panic!("{error}: {:?}", std::error::Error::source(&error)));
         Self { arm, end, clock: Arc::clone(clock) }
     }
 
     fn one() -> Self {
         let seat = trip_line(1).unwrap().remove(0);
-        Self::new(2, Dialect::GatewayV1, B, seat, &Arc::new(SystemClock::new()))
+        Self::new(2, B, seat, &Arc::new(SystemClock::new()))
     }
 
     /// On a loaded machine the link may pass the warm-up only after several tries.
@@ -156,13 +154,11 @@ fn is_at_rest(end: &CellEnd) -> bool {
 }
 
 #[test]
-fn joints_follow_their_commands_in_every_dialect_and_format() {
+fn joints_follow_their_commands_in_every_format() {
     in_real_time_beside_others(|| {
-        let kinds =
-            [(Dialect::GatewayV1, B), (Dialect::Transparent, B), (Dialect::Transparent, WireFormat::LittleEndian5x8)];
-        for (dialect, format) in kinds {
+        for format in WireFormat::ALL {
             let seat = trip_line(1).unwrap().remove(0);
-            let mut rig = Rig::new(3, dialect, format, seat, &Arc::new(SystemClock::new()));
+            let mut rig = Rig::new(3, format, seat, &Arc::new(SystemClock::new()));
             let read = rig.arm.monitor().snapshot().limits[1].unwrap();
             assert!((read.upper_rad - 91f64.to_radians()).abs() < 1e-4, "{read:?}");
             rig.enable_and_move();
@@ -172,21 +168,17 @@ fn joints_follow_their_commands_in_every_dialect_and_format() {
             let moved = (to - from) / end.seconds_since(begin);
             // Time that a loaded machine loses affects all joints equally.
             let part = moved.dot(&velocity()) / velocity().norm_squared();
-            assert!((moved - velocity() * part).amax() < 0.01, "{dialect:?}: {moved}");
-            assert!((0.3..1.1).contains(&part), "{dialect:?}: {part}");
+            assert!((moved - velocity() * part).amax() < 0.01, "{format}: {moved}");
+            assert!((0.3..1.1).contains(&part), "{format}: {part}");
             let measured = rig.arm.exchange(JointCommand::Hold).map(|joints| joints.position_rad);
             if let Ok(measured) = measured {
                 assert!((measured - to).amax() < 0.05, "{measured}");
             }
             rig.arm.stop().unwrap();
-            assert!(is_at_rest(&rig.end), "{dialect:?}");
+            assert!(is_at_rest(&rig.end), "{format}");
             assert_eq!(rig.end.state(), GatewayState::Idle);
             let status = rig.end.status();
-            println!(
-                "{dialect:?} {format}: {part:.3} of the way, {:?}, {:?}",
-                rig.arm.monitor().jitter(),
-                status.cycle
-            );
+            println!("{format}: {part:.3} of the way, {:?}, {:?}", rig.arm.monitor().jitter(), status.cycle);
         }
     });
 }
@@ -260,8 +252,8 @@ fn two_arms_stop_each_other_and_each_is_reset_by_itself() {
     in_real_time_beside_others(|| {
         let clock = Arc::new(SystemClock::new());
         let mut seats = trip_line(2).unwrap();
-        let mut second = Rig::new(2, Dialect::GatewayV1, B, seats.pop().unwrap(), &clock);
-        let mut first = Rig::new(1, Dialect::GatewayV1, B, seats.pop().unwrap(), &clock);
+        let mut second = Rig::new(2, B, seats.pop().unwrap(), &clock);
+        let mut first = Rig::new(1, B, seats.pop().unwrap(), &clock);
         first.enable();
         second.enable();
         for _ in 0..20 {
@@ -305,7 +297,7 @@ fn a_line_that_takes_no_more_bytes_has_the_joints_stopped_by_both_sides() {
 #[test]
 fn the_link_of_the_other_arm_is_refused_by_its_number() {
     in_real_time_beside_others(|| {
-        let (refused, _end) = open_one(config(1, Dialect::GatewayV1, B), Cell::new(ArmId(2), B, home()));
+        let (refused, _end) = open_one(config(1, B), Cell::new(ArmId(2), B, home()));
         let error = refused.err().unwrap();
         let source = std::error::Error::source(&error).unwrap().to_string();
         assert!(source.contains("a reply came from arm 2: the configuration has another arm number"), "{source}");
@@ -315,7 +307,7 @@ fn the_link_of_the_other_arm_is_refused_by_its_number() {
 #[test]
 fn a_gateway_before_an_arm_of_another_format_does_not_move_it() {
     in_real_time_beside_others(|| {
-        let config = config(2, Dialect::Transparent, WireFormat::LittleEndian5x8);
+        let config = config(2, WireFormat::LittleEndian5x8);
         let (opened, _end) = open_one(config, Cell::new(ArmId(2), B, home()));
         // From the replies to the stop order at its start the gateway knows the format of the controller.
         let error = opened.err().unwrap();
@@ -330,7 +322,7 @@ fn a_gateway_before_an_arm_of_another_format_does_not_move_it() {
 #[test]
 fn an_arm_with_other_limits_is_opened_stopped_and_says_which() {
     in_real_time_beside_others(|| {
-        let mut other = config(2, Dialect::GatewayV1, B);
+        let mut other = config(2, B);
         let (mut lower_rad, upper_rad) = (-limits(), limits());
         lower_rad[5] += 1f64.to_radians();
         other.driver.limits = LimitsCheck::Compare { lower_rad, upper_rad, tolerance_rad: 0.5f64.to_radians() };
@@ -350,7 +342,7 @@ fn an_arm_whose_emergency_stop_is_pressed_is_opened_and_reset_when_it_is_release
         let mut cell = Cell::new(ArmId(2), B, home());
         let now = cell.now;
         cell.controller.command_line(now, "e-stop press").unwrap();
-        let (opened, end) = open_one(config(2, Dialect::GatewayV1, B), cell);
+        let (opened, end) = open_one(config(2, B), cell);
         let mut arm = opened.map_err(|error| error.to_string()).unwrap();
         assert_eq!(arm.state(), ArmState::EStop, "{:?}", arm.monitor().snapshot().latched);
         assert!(arm.reset().is_err());

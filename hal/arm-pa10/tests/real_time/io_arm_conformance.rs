@@ -12,7 +12,7 @@ use pb3dp_arm_pa10::arm::{Pa10Arm, Pa10ArmConfig, trip_line};
 use pb3dp_arm_pa10::driver::{DriverConfig, LimitsCheck};
 use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Geometry, HostLimits};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Geometry, HostLimits};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_test_support::cell_end::{Cell, CellEnd};
 use pb3dp_hal_api::{ArmPower, ArmState};
@@ -25,19 +25,19 @@ use pb3dp_kinematics::JointVector;
 use pb3dp_test_support::{beside_each_other, in_real_time_beside_others};
 
 const CYCLE: Duration = Duration::from_millis(10);
+const FORMAT: WireFormat = WireFormat::BigEndian6x10;
 
 /// Limits of the emulated EEPROM.
 fn limits() -> JointVector {
     JointVector::from([177.0f64, 91.0, 174.0, 137.0, 255.0, 165.0, 255.0].map(f64::to_radians))
 }
 
-fn open(dialect: Dialect, format: WireFormat, clock: &Arc<SystemClock>) -> (Pa10Arm, CellEnd) {
+fn open(clock: &Arc<SystemClock>) -> (Pa10Arm, CellEnd) {
     let pty = Pty::open().unwrap();
-    let serial = SerialConfig { path: pty.name().to_owned(), baud: 460_800, dialect, format, cycle: CYCLE };
+    let serial = SerialConfig { path: pty.name().to_owned(), baud: 460_800, cycle: CYCLE };
     // E2 soon exceeds half a turn, so that wrapped angles would be detected.
     let home = JointVector::from([0.2, -0.5, 0.3, 1.1, std::f64::consts::PI - 0.02, 0.9, 0.1]);
-    let cell = CellEnd::serve(Box::new(pty), Cell::new(ArmId(1), format, home));
-    // In the dialect transparent the limits are also read, with the letter R.
+    let cell = CellEnd::serve(Box::new(pty), Cell::new(ArmId(1), FORMAT, home));
     let limits = LimitsCheck::Compare { lower_rad: -limits(), upper_rad: limits(), tolerance_rad: 0.5f64.to_radians() };
     let driver = DriverConfig { limits, ..DriverConfig::with_cycle(CYCLE) };
     let geometry = Geometry::SecondGeneration;
@@ -46,8 +46,7 @@ fn open(dialect: Dialect, format: WireFormat, clock: &Arc<SystemClock>) -> (Pa10
         driver,
         GatewayLinkConfig {
             arm: ArmId(1),
-            dialect,
-            format,
+            format: FORMAT,
             geometry,
             cycle: CYCLE,
             limits: HostLimits::WIDEST,
@@ -82,11 +81,11 @@ fn with(
     })
 }
 
-fn suite(part: ArmPart, dialect: Dialect, format: WireFormat) -> Report {
+fn suite(part: ArmPart) -> Report {
     let clock = Arc::new(SystemClock::new());
     let cell: Rc<RefCell<Option<CellEnd>>> = Rc::default();
     let make = || {
-        let (arm, end) = open(dialect, format, &clock);
+        let (arm, end) = open(&clock);
         *cell.borrow_mut() = Some(end);
         arm
     };
@@ -122,6 +121,6 @@ fn an_arm_behind_a_gateway_keeps_the_contract() {
         // Real-time where permitted; the arm's own thread requests it by itself.
         enter(&Realtime { priority: Some(30), locks_memory: false, cpu: None });
         // The behaviour on a machine that delays threads is tested in virtual time.
-        in_real_time_beside_others(|| suite(part, Dialect::GatewayV1, WireFormat::BigEndian6x10).assert_passed());
+        in_real_time_beside_others(|| suite(part).assert_passed());
     });
 }

@@ -13,7 +13,7 @@ use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockServer, MockServ
 use pb3dp_arm_pa10_emulation::mock_controller::{MockControllerConfig, Script, pa10_joints};
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
 use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Firmware, Geometry, HostLimits, MotionLimits};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Firmware, Geometry, HostLimits, MotionLimits};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_geometry::Pose;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
@@ -49,18 +49,16 @@ fn server(arm: ArmId, clock: &Arc<dyn Clock>) -> MockServer {
 }
 
 fn arm(arm: ArmId, server: &MockServer, seat: TripSeat, clock: &Arc<dyn Clock>) -> Pa10Arm {
-    let (dialect, cycle) = (Dialect::GatewayV1, CYCLE);
     let link = GatewayLinkConfig {
         arm,
-        dialect,
         format: FORMAT,
         geometry: Geometry::Unknown,
-        cycle,
+        cycle: CYCLE,
         limits: HostLimits::WIDEST,
         signals: StatusSignals::ORCA,
     };
-    let port = server.port(SerialConfig { path: server.address(), baud: 921_600, dialect, format: FORMAT, cycle });
-    let config = Pa10ArmConfig::new(&format!("arm-{}", arm.0), DriverConfig::with_cycle(cycle), link);
+    let port = server.port(SerialConfig { path: server.address(), baud: 921_600, cycle: CYCLE });
+    let config = Pa10ArmConfig::new(&format!("arm-{}", arm.0), DriverConfig::with_cycle(CYCLE), link);
     Pa10Arm::open(config, Box::new(port), Arc::clone(clock), seat).unwrap()
 }
 

@@ -137,11 +137,10 @@ impl Needs {
     }
 
     fn of_setup(config: &SetupArgs, setup: &Setup, recordings: PathBuf) -> Self {
-        let (mut serial, mut arcnet, mut has_tcp) = (Vec::new(), Vec::new(), false);
+        let (mut serial, mut has_tcp) = (Vec::new(), false);
         for link in [&setup.rig.arms.vs.link, &setup.rig.arms.tc.link] {
             match link {
                 ArmLink::Gateway(_, GatewayWay::Serial { path, .. }) => serial.push(path.clone()),
-                ArmLink::Bus(config) => arcnet.extend(interface(&config.target)),
                 ArmLink::Gateway(_, GatewayWay::Tcp { .. }) => has_tcp = true,
                 ArmLink::InProcess | ArmLink::Gateway(_, GatewayWay::Emulated | GatewayWay::Local(_)) => {}
             }
@@ -156,7 +155,6 @@ impl Needs {
                 && !(setup.rig.arms.vs.link.is_toy() && setup.rig.arms.tc.link.is_toy()),
             serial: Some(serial),
             keys: has_tcp.then(|| in_one_line(check_key_files(setup))),
-            arcnet,
             cameras: setup.rig.real_cameras.as_ref().map_or(Cameras::NotNeeded, Cameras::of),
             nominal_calibration: setup.rig.nominal_calibration.clone(),
             recording_bytes_per_s: bytes_per_s(setup.rig.stereo.left().size(), setup.rig.frames.period),

@@ -7,7 +7,7 @@ use std::io::{Read, Write};
 use std::os::fd::AsRawFd;
 use std::time::Duration;
 
-use pb3dp_arm_pa10::bus::{
+use pb3dp_arm_pa10_gateway::bus::{
     ArcnetError, ArcnetSocket, BusPort, FRAME_ROOM, FrameListener, FrameSocket, FrameSocketError,
 };
 use pb3dp_arm_pa10_protocol::arcnet::{self, Route};

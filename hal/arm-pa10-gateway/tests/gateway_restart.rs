@@ -6,7 +6,7 @@ use pb3dp_arm_pa10::driver::DriverState;
 use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, pa10_joints};
 use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig};
 use pb3dp_arm_pa10_protocol::codec::{ArmCommand, AxisCommand, ControlMessage, ServoWord, Supervision, WireFormat};
-use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, Firmware, GatewayState, MotionLimits, StopCause};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{Firmware, GatewayState, MotionLimits, StopCause};
 use pb3dp_arm_pa10_test_support::chain::{ARM, Chain};
 use pb3dp_arm_pa10_test_support::gateway_bench::{Bench, config, ms};
 use pb3dp_arm_pa10_test_support::{bus_bench, gateway_bench as bench};
@@ -54,7 +54,7 @@ fn an_arm_that_goes_on_moving_is_stopped_by_the_next_gateway() {
         let start_rad = JointVector::from([0.1, 0.7, 0.2, 0.9, 0.1, 0.5, 0.1]);
         let plant = JointPlant::new(pa10_joints().unwrap(), start_rad, bus_bench::START).unwrap();
         let joints = plant.with_mechanics(JointMechanics::default()).unwrap();
-        let mut chain = Chain::new(Dialect::GatewayV1, format, None, joints);
+        let mut chain = Chain::new(format, None, joints);
         chain.prepare();
         chain.wanted = Some(JointVector::from([0.1, -0.2, 0.1, 0.2, 0.3, 0.2, 0.3]));
         chain.run(ms(600));

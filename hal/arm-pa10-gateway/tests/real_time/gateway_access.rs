@@ -11,10 +11,10 @@ use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use pb3dp_arm_pa10::arm::{AccessError, KeyedTcp};
-use pb3dp_arm_pa10::bus::{BusPort, FrameSocket};
 use pb3dp_arm_pa10::driver::DriverState;
+use pb3dp_arm_pa10_gateway::bus::{BusPort, FrameSocket};
 use pb3dp_arm_pa10_gateway::service::{Access, BusOpener, GatewayServer, GatewayServerConfig, HostSide};
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, SharedKey};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, SharedKey};
 use pb3dp_arm_pa10_test_support::world::{
     ARM, Emulation, Host, LONG, gateway_config, home, keyed, ms, tcp_side, test_key,
 };
@@ -66,7 +66,7 @@ fn a_stranger_drives_no_arm() {
     in_real_time_beside_others(|| {
         let (server, emulation, address) = started();
         let link = TcpLink::connect(&TcpConfig { address }).unwrap();
-        assert_refused(Host::new(Box::new(link), Dialect::GatewayV1), &emulation);
+        assert_refused(Host::new(Box::new(link)), &emulation);
         assert_eq!(server.end().unwrap().bytes.frames, 0, "the cycle thread heard of it");
     });
 }
@@ -79,7 +79,7 @@ fn a_web_page_drives_no_arm() {
         let mut link = TcpLink::connect(&TcpConfig { address }).unwrap();
         let request = b"POST / HTTP/1.1\r\nHost: 127.0.0.1:4534\r\nContent-Length: 100000\r\n\r\n";
         assert_eq!(link.try_write(request).unwrap(), request.len());
-        assert_refused(Host::new(Box::new(link), Dialect::GatewayV1), &emulation);
+        assert_refused(Host::new(Box::new(link)), &emulation);
         assert_eq!(server.end().unwrap().bytes.frames, 0, "the cycle thread heard of it");
     });
 }
@@ -95,7 +95,7 @@ fn a_dripping_peer_locks_nobody_out() {
             drip.write_all(&[0xA5]).ok();
             std::thread::sleep(ms(300));
         }
-        let mut host = Host::new(keyed(address).connect().unwrap(), Dialect::GatewayV1);
+        let mut host = Host::new(keyed(address).connect().unwrap());
         host.open();
         host.lead_to_moving();
     });
@@ -155,7 +155,7 @@ fn a_replayed_connection_drives_no_arm() {
         let (server, emulation, address) = started();
         let capture = Arc::new(Mutex::new(Vec::new()));
         let link = Tapped(TcpLink::connect(&TcpConfig { address }).unwrap(), Arc::clone(&capture));
-        let mut host = Host::new(Box::new(keyed(address).open(link).unwrap()), Dialect::GatewayV1);
+        let mut host = Host::new(Box::new(keyed(address).open(link).unwrap()));
         host.open();
         host.lead_to_moving();
         drop(host);
@@ -207,7 +207,7 @@ fn attack(address: SocketAddr, connections: usize, end: &AtomicBool) -> usize {
 fn nobody_disturbs_the_owner() {
     in_real_time_beside_others(|| {
         let (server, emulation, address) = started();
-        let mut host = Host::new(keyed(address).connect().unwrap(), Dialect::GatewayV1);
+        let mut host = Host::new(keyed(address).connect().unwrap());
         host.open();
         host.lead_to_moving();
         let end = Arc::new(AtomicBool::new(false));

@@ -5,22 +5,17 @@ use std::time::Duration;
 use pb3dp_arm_pa10::driver::{Driver, DriverConfig};
 use pb3dp_arm_pa10::link::{GatewayLink, HelloError};
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
-use pb3dp_arm_pa10_protocol::codec::{
-    AngleCounts, ArmCommand, Axis, AxisCommand, SpeedCounts, Supervision, WireFormat,
-};
+use pb3dp_arm_pa10_protocol::codec::{AngleCounts, Axis, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmOperation, AxisMotion, Dialect, DriveCommand, DriveMode, FaultReport, GatewayMessage, GatewayState, Hello,
-    HostLimits, HostMessage, MotionLimits, MotionQuantity, RejectReason, StopCause, WiderLimit,
+    ArmOperation, AxisMotion, DriveCommand, DriveMode, FaultReport, GatewayMessage, GatewayState, Hello, HostLimits,
+    HostMessage, MotionLimits, MotionQuantity, RejectReason, StopCause, WiderLimit,
 };
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
-use pb3dp_arm_pa10_test_support::gateway_bench::{
-    Bench, CYCLE, HOST_CYCLE, Sent, config, control, ms, raw_command, rejected,
-};
+use pb3dp_arm_pa10_test_support::gateway_bench::{Bench, CYCLE, HOST_CYCLE, Sent, config, control, ms, rejected};
 use pb3dp_arm_pa10_test_support::link_rig::link_config;
 use pb3dp_geometry::MonotonicTime;
 use proptest::prelude::*;
 
-const DIALECTS: [Dialect; 2] = [Dialect::GatewayV1, Dialect::Transparent];
 /// A command may be this late, and its set-point this old.
 const TOLERANCE: Duration = ms(40);
 const S2: usize = 1;
@@ -43,36 +38,31 @@ fn limited(format: WireFormat, motion: &AxisMotion) -> GatewayConfig {
     GatewayConfig { limits: limits_of(motion), ..config(format) }
 }
 
-fn hello(dialect: Dialect, limits: MotionLimits) -> HostMessage {
-    HostMessage::Hello(Hello { dialect, cycle_us: 10_000, limits })
+fn hello(limits: MotionLimits) -> HostMessage {
+    HostMessage::Hello(Hello { cycle_us: 10_000, limits })
 }
 
 /// Holding with open brakes, its host asks for the limits of the gateway.
-fn holding(config: GatewayConfig, dialect: Dialect) -> Bench {
+fn holding(config: GatewayConfig) -> Bench {
     let mut bench = Bench::silent(config);
-    assert!(matches!(bench.ask(hello(dialect, config.limits)), GatewayMessage::HelloReply(_)));
+    assert!(matches!(bench.ask(hello(config.limits)), GatewayMessage::HelloReply(_)));
     bench.lead_to(GatewayState::Holding);
     bench.sent.clear();
     bench.messages.clear();
     bench
 }
 
-/// A command in counts, in the dialect of the host; the next one is due 10 ms later.
+/// A command in counts; the next one is due 10 ms later.
 fn follow(bench: &mut Bench, counts: [i16; 7]) {
     follow_for(bench, counts, HOST_CYCLE);
 }
 
 fn follow_for(bench: &mut Bench, counts: [i16; 7], time: Duration) {
-    let command = message(bench, counts);
-    bench.tell(command);
+    bench.tell(message(counts));
     bench.run(time);
 }
 
-fn message(bench: &Bench, counts: [i16; 7]) -> HostMessage {
-    if bench.gateway.status().host == Some(Dialect::Transparent) {
-        let axes = counts.map(|counts| AxisCommand::Speed(SpeedCounts(counts)));
-        return raw_command(bench.controller.format, ArmCommand { axes, supervision: Supervision::default() });
-    }
+fn message(counts: [i16; 7]) -> HostMessage {
     let speed_urad_per_s = counts.map(|counts| i32::from(counts) * 200);
     HostMessage::Command(DriveCommand { mode: DriveMode::Follow, speed_urad_per_s })
 }
@@ -81,13 +71,6 @@ fn on_s2(counts: i16) -> [i16; 7] {
     let mut all = [0; 7];
     all[S2] = counts;
     all
-}
-
-/// Everything that the four kinds of host have in common.
-fn for_each_host(mut check: impl FnMut(Dialect, WireFormat)) {
-    for dialect in DIALECTS {
-        WireFormat::ALL.into_iter().for_each(|format| check(dialect, format));
-    }
 }
 
 fn assert_tripped(bench: &Bench, axis: usize, quantity: MotionQuantity) {
@@ -117,11 +100,11 @@ fn speeds(sent: &Sent) -> [i16; 7] {
 /// Finding 1 of the review: a host below the limiter sent 6.28 rad/s, and the gateway passed it on, to S2 too.
 #[test]
 fn a_speed_that_no_limiter_has_passed_stops_the_arm() {
-    for_each_host(|dialect, format| {
-        let mut bench = holding(limited(format, &motion()), dialect);
+    for format in WireFormat::ALL {
+        let mut bench = holding(limited(format, &motion()));
         follow(&mut bench, on_s2(31_400));
         assert_tripped(&bench, S2, MotionQuantity::Speed);
-        assert_eq!(fastest(&bench), 0, "{dialect}, {format}");
+        assert_eq!(fastest(&bench), 0, "{format}");
         bench.run(ms(600));
         assert_eq!(bench.letters().chars().last(), Some('E'), "the stop order is complete");
         let start = bench.ask(control(ArmOperation::Stop));
@@ -129,7 +112,7 @@ fn a_speed_that_no_limiter_has_passed_stops_the_arm() {
         assert_eq!(bench.state(), GatewayState::Fault, "latched");
         bench.ask(control(ArmOperation::Reset));
         assert_eq!((bench.state(), bench.cause()), (GatewayState::Idle, StopCause::None));
-    });
+    }
 }
 
 /// Rises by 5 counts per command (0.1 rad/s^2) up to these counts.
@@ -143,10 +126,10 @@ fn rise_to(bench: &mut Bench, counts: i16) {
 
 #[test]
 fn the_speed_limit_passes_and_one_count_more_stops_the_arm() {
-    for_each_host(|dialect, format| {
+    for format in WireFormat::ALL {
         for sign in [-1, 1] {
             let slow = AxisMotion { speed_max_rad_per_s: 0.01, ..motion() };
-            let mut bench = holding(limited(format, &slow), dialect);
+            let mut bench = holding(limited(format, &slow));
             for step in 0..=50 {
                 follow(&mut bench, on_s2(sign * step));
             }
@@ -155,38 +138,36 @@ fn the_speed_limit_passes_and_one_count_more_stops_the_arm() {
             assert_tripped(&bench, S2, MotionQuantity::Speed);
             assert_eq!(fastest(&bench), 50);
         }
-    });
+    }
 }
 
 #[test]
 fn a_host_that_asks_for_less_is_held_to_that() {
-    for dialect in DIALECTS {
-        let mut bench = Bench::silent(limited(WireFormat::BigEndian6x10, &motion()));
-        let slow = AxisMotion { speed_max_rad_per_s: 0.01, ..motion() };
-        bench.ask(hello(dialect, limits_of(&slow)));
-        bench.lead_to(GatewayState::Holding);
-        follow(&mut bench, on_s2(50));
-        assert_moving(&bench);
-        follow(&mut bench, on_s2(51));
-        assert_tripped(&bench, S2, MotionQuantity::Speed);
-        // The next host is not held to what this one asked for.
-        bench.run(ms(600));
-        bench.ask(control(ArmOperation::Reset));
-        bench.gateway.handle_host_gone(bench.now);
-        bench.ask(hello(dialect, limits_of(&motion())));
-        bench.lead_to(GatewayState::Holding);
-        follow(&mut bench, on_s2(51));
-        assert_moving(&bench);
-    }
+    let mut bench = Bench::silent(limited(WireFormat::BigEndian6x10, &motion()));
+    let slow = AxisMotion { speed_max_rad_per_s: 0.01, ..motion() };
+    bench.ask(hello(limits_of(&slow)));
+    bench.lead_to(GatewayState::Holding);
+    follow(&mut bench, on_s2(50));
+    assert_moving(&bench);
+    follow(&mut bench, on_s2(51));
+    assert_tripped(&bench, S2, MotionQuantity::Speed);
+    // The next host is not held to what this one asked for.
+    bench.run(ms(600));
+    bench.ask(control(ArmOperation::Reset));
+    bench.gateway.handle_host_gone(bench.now);
+    bench.ask(hello(limits_of(&motion())));
+    bench.lead_to(GatewayState::Holding);
+    follow(&mut bench, on_s2(51));
+    assert_moving(&bench);
 }
 
 /// By hand, with commands 10 ms apart: 2.01 rad/s^2 x (10 + 40) ms = 0.1005 rad/s, and one count for rounding: 503.5 counts.
 #[test]
 fn a_rise_at_the_limit_of_acceleration_passes_and_one_count_more_stops_the_arm() {
     let stiff = AxisMotion { jerk_max_rad_per_s3: 10_000.0, ..motion() };
-    for_each_host(|dialect, format| {
+    for format in WireFormat::ALL {
         for (counts, passes) in [(503, true), (-503, true), (504, false), (-504, false)] {
-            let mut bench = holding(limited(format, &stiff), dialect);
+            let mut bench = holding(limited(format, &stiff));
             (0..6).for_each(|_| follow(&mut bench, [0; 7]));
             follow(&mut bench, on_s2(counts));
             if passes {
@@ -199,21 +180,21 @@ fn a_rise_at_the_limit_of_acceleration_passes_and_one_count_more_stops_the_arm()
                 assert_eq!(fastest(&bench), 0);
             }
         }
-    });
+    }
 }
 
 /// By hand: the rise may have begun with the command before the last one, so it lasts 20 + 40 ms. The acceleration is full after
 /// 2.01 / 77 = 26.10 ms: 2.01 x (60 - 13.05) ms = 0.09437 rad/s, and one count for rounding: 472.8 counts.
 #[test]
 fn a_rise_at_the_limit_of_jerk_passes_and_one_count_more_stops_the_arm() {
-    for_each_host(|dialect, format| {
+    for format in WireFormat::ALL {
         for (counts, passes) in [(472, true), (-472, true), (473, false), (-473, false)] {
-            let mut bench = holding(limited(format, &motion()), dialect);
+            let mut bench = holding(limited(format, &motion()));
             (0..6).for_each(|_| follow(&mut bench, [0; 7]));
             follow(&mut bench, on_s2(counts));
             if passes { assert_moving(&bench) } else { assert_tripped(&bench, S2, MotionQuantity::Jerk) }
         }
-    });
+    }
 }
 
 /// Jerk alone: 6.2 rad/s^3 x (60 ms)^2 / 2 = 0.01116 rad/s, and one count for rounding: 56.8 counts.
@@ -221,7 +202,7 @@ fn a_rise_at_the_limit_of_jerk_passes_and_one_count_more_stops_the_arm() {
 fn a_slow_jerk_limit_decides_before_the_acceleration() {
     let soft = AxisMotion { jerk_max_rad_per_s3: 6.2, ..motion() };
     for (counts, passes) in [(56, true), (57, false)] {
-        let mut bench = holding(limited(WireFormat::BigEndian6x10, &soft), Dialect::GatewayV1);
+        let mut bench = holding(limited(WireFormat::BigEndian6x10, &soft));
         (0..6).for_each(|_| follow(&mut bench, [0; 7]));
         follow(&mut bench, on_s2(counts));
         if passes { assert_moving(&bench) } else { assert_tripped(&bench, S2, MotionQuantity::Jerk) }
@@ -230,8 +211,8 @@ fn a_slow_jerk_limit_decides_before_the_acceleration() {
 
 #[test]
 fn every_stop_is_allowed_to_be_sudden() {
-    for_each_host(|dialect, format| {
-        let mut bench = holding(limited(format, &motion()), dialect);
+    for format in WireFormat::ALL {
+        let mut bench = holding(limited(format, &motion()));
         rise_to(&mut bench, 1000);
         follow(&mut bench, on_s2(300));
         assert_moving(&bench);
@@ -246,16 +227,16 @@ fn every_stop_is_allowed_to_be_sudden() {
         rise_to(&mut bench, 1000);
         follow(&mut bench, on_s2(-500));
         assert_eq!(bench.cause(), StopCause::LimitExceeded);
-    });
+    }
 }
 
 /// By hand: at 0.2 rad/s the joint needs 0.2 x 6 ms + 0.2^2 / (2 x 2.01) = 0.01115 rad to stop, which leaves 1.48885 rad:
 /// 194115.8 counts of the angle.
 #[test]
 fn an_axis_that_could_not_stop_in_its_range_is_stopped() {
-    for_each_host(|dialect, format| {
+    for format in WireFormat::ALL {
         for sign in [-1, 1] {
-            let mut bench = holding(limited(format, &motion()), dialect);
+            let mut bench = holding(limited(format, &motion()));
             rise_to(&mut bench, 1000);
             let mut backwards = bench.clone();
             // The angle of axis 2 is twice this one.
@@ -277,13 +258,13 @@ fn an_axis_that_could_not_stop_in_its_range_is_stopped() {
                 assert_tripped(&backwards, S2, MotionQuantity::LowerEnd);
             }
         }
-    });
+    }
 }
 
 #[test]
 fn a_command_towards_an_end_without_room_is_not_followed() {
-    for_each_host(|dialect, format| {
-        let mut bench = holding(limited(format, &motion()), dialect);
+    for format in WireFormat::ALL {
+        let mut bench = holding(limited(format, &motion()));
         bench.controller.angle = AngleCounts(-195_200 / 2);
         bench.run(ms(4));
         // 1.49716 rad: 0.08 rad/s needs 0.00207 rad to stop, 0.12 rad/s 0.0043 rad.
@@ -294,31 +275,29 @@ fn a_command_towards_an_end_without_room_is_not_followed() {
         follow(&mut bench, on_s2(-600));
         assert_tripped(&bench, S2, MotionQuantity::LowerEnd);
         assert!(fastest(&bench) <= 400);
-    });
+    }
 }
 
 #[test]
 fn a_host_that_asks_for_more_is_refused() {
-    for dialect in DIALECTS {
-        let mut bench = Bench::silent(limited(WireFormat::BigEndian6x10, &motion()));
-        let own = limits_of(&motion());
-        let mut asked = own;
-        asked.axes[4].jerk += 1;
-        let (reason, detail) = rejected(bench.ask(hello(dialect, asked)));
-        assert_eq!(reason, RejectReason::LimitsTooWide);
-        let expected = WiderLimit { axis: Axis::ALL[4], quantity: MotionQuantity::Jerk, wider: 386, limit: 385 };
-        assert_eq!(WiderLimit::from_detail(detail, &asked), Some(expected));
-        assert_eq!(bench.gateway.status().host, None);
-        let GatewayMessage::HelloReply(reply) = bench.ask(hello(dialect, own)) else { panic!("it is refused") };
-        assert_eq!(reply.limits, own);
-    }
+    let mut bench = Bench::silent(limited(WireFormat::BigEndian6x10, &motion()));
+    let own = limits_of(&motion());
+    let mut asked = own;
+    asked.axes[4].jerk += 1;
+    let (reason, detail) = rejected(bench.ask(hello(asked)));
+    assert_eq!(reason, RejectReason::LimitsTooWide);
+    let expected = WiderLimit { axis: Axis::ALL[4], quantity: MotionQuantity::Jerk, wider: 386, limit: 385 };
+    assert_eq!(WiderLimit::from_detail(detail, &asked), Some(expected));
+    assert!(!bench.gateway.status().has_host);
+    let GatewayMessage::HelloReply(reply) = bench.ask(hello(own)) else { panic!("it is refused") };
+    assert_eq!(reply.limits, own);
 }
 
 /// A host that connects to a gateway: why it refuses the gateway, or the gateway refuses it.
 fn greet(gateway: MotionLimits, limits: HostLimits) -> Option<HelloError> {
     let format = WireFormat::BigEndian6x10;
     let mut bench = Bench::silent(GatewayConfig { limits: gateway, ..config(format) });
-    let mut link = GatewayLink::new(GatewayLinkConfig { limits, ..link_config(Dialect::GatewayV1, format) });
+    let mut link = GatewayLink::new(GatewayLinkConfig { limits, ..link_config(format) });
     let mut driver = Driver::new(DriverConfig::with_cycle(HOST_CYCLE)).unwrap();
     link.open(bench.now);
     bench.gateway.handle_host_bytes(bench.now, &link.poll_output(bench.now).unwrap());
@@ -351,10 +330,10 @@ fn host_and_gateway_refuse_each_other_with_both_numbers() {
 
 #[test]
 fn open_brakes_keep_the_limits_of_the_host() {
-    let mut bench = holding(limited(WireFormat::BigEndian6x10, &motion()), Dialect::GatewayV1);
+    let mut bench = holding(limited(WireFormat::BigEndian6x10, &motion()));
     let slow = limits_of(&AxisMotion { speed_max_rad_per_s: 0.1, ..motion() });
-    assert_eq!(rejected(bench.ask(hello(Dialect::GatewayV1, slow))).0, RejectReason::WrongState);
-    assert!(matches!(bench.ask(hello(Dialect::GatewayV1, limits_of(&motion()))), GatewayMessage::HelloReply(_)));
+    assert_eq!(rejected(bench.ask(hello(slow))).0, RejectReason::WrongState);
+    assert!(matches!(bench.ask(hello(limits_of(&motion()))), GatewayMessage::HelloReply(_)));
     rise_to(&mut bench, 1000);
 }
 
@@ -440,10 +419,9 @@ proptest! {
     fn a_host_within_the_limits_never_trips(
         fates in prop::collection::vec(fate(), 20..120),
         motion in soft_or_stiff(),
-        kind in 0usize..4,
+        format in prop::sample::select(WireFormat::ALL.to_vec()),
     ) {
-        let (dialect, format) = (DIALECTS[kind % 2], WireFormat::ALL[kind / 2]);
-        let mut bench = holding(limited(format, &motion), dialect);
+        let mut bench = holding(limited(format, &motion));
         let mut curve = Curve { speed: 0.0, acceleration: 0.0, motion };
         // The host's steps of 1 ms, from which its driver takes one that is `age_ms` old.
         let mut curve_speeds = vec![0.0; 20];
@@ -460,7 +438,7 @@ proptest! {
             lost_in_a_row = if fate.is_lost && lost_in_a_row < 1 { lost_in_a_row + 1 } else { 0 };
             if lost_in_a_row == 0 {
                 line_free = line_free.max(bench.now + ms(fate.late_ms));
-                due.push((line_free, message(&bench, on_s2(counts))));
+                due.push((line_free, message(on_s2(counts))));
             }
             for _ in 0..10 {
                 curve_speeds.push(curve.step(target, 1e-3));
@@ -470,21 +448,20 @@ proptest! {
                 }
                 bench.run(ms(1));
             }
-            prop_assert_eq!(bench.gateway.status().found, None, "{} {} {:?}", dialect, format, fate);
+            prop_assert_eq!(bench.gateway.status().found, None, "{} {:?}", format, fate);
         }
     }
 
     /// Whatever a host sends, the speeds on the bus keep the limits: with the tolerance for the time of a command, 30 ms for which a
-    /// command may have been in force, and in the dialect with interpolation the time that it takes.
+    /// command may have been in force, and with interpolation the time that it takes.
     #[test]
     fn any_host_moves_the_arm_within_the_limits(
         commands in prop::collection::vec(wild(), 1..60),
-        kind in 0usize..4,
+        format in prop::sample::select(WireFormat::ALL.to_vec()),
         interpolates in any::<bool>(),
     ) {
-        let (dialect, format) = (DIALECTS[kind % 2], WireFormat::ALL[kind / 2]);
         let motion = motion();
-        let mut bench = holding(GatewayConfig { interpolates, ..limited(format, &motion) }, dialect);
+        let mut bench = holding(GatewayConfig { interpolates, ..limited(format, &motion) });
         let most = i32::from(limits_of(&motion).axes[0].speed);
         let mut counts = [0i16; 7];
         for Wild { wait_ms, part, axis, is_rise } in commands {
@@ -516,8 +493,8 @@ proptest! {
 /// After lost commands the watchdog has slowed the arm down; the speed then rises with the allowed acceleration.
 #[test]
 fn an_arm_that_was_slowed_down_speeds_up_within_the_limits() {
-    for_each_host(|dialect, format| {
-        let mut bench = holding(limited(format, &motion()), dialect);
+    for format in WireFormat::ALL {
+        let mut bench = holding(limited(format, &motion()));
         rise_to(&mut bench, 2000);
         bench.run(ms(20));
         let slowed = speeds(bench.sent.last().unwrap())[S2];
@@ -527,10 +504,10 @@ fn an_arm_that_was_slowed_down_speeds_up_within_the_limits() {
             follow(&mut bench, on_s2(2000));
             let speed = speeds(bench.sent.last().unwrap())[S2];
             let most = f64::from(slowed) + 2.01 * 5000.0 * bench.now.seconds_since(begin) + 2.0;
-            assert!(f64::from(speed) <= most && speed >= last, "{speed} of at most {most}, {dialect}, {format}");
+            assert!(f64::from(speed) <= most && speed >= last, "{speed} of at most {most}, {format}");
             last = speed;
         }
         assert_eq!(last, 2000);
         assert_moving(&bench);
-    });
+    }
 }

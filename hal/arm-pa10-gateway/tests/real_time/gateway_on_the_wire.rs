@@ -7,7 +7,6 @@ use std::os::fd::BorrowedFd;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 
-use pb3dp_arm_pa10_protocol::gateway_protocol::Dialect;
 use pb3dp_arm_pa10_test_support::world::{Host, LONG, keyed, ms};
 use pb3dp_hal_platform::tcp::{TcpConfig, TcpLink};
 use pb3dp_hal_platform::transport::{ByteLink, Unplugged};
@@ -72,7 +71,7 @@ fn records_that_are_repeated_exchanged_or_left_out_end_the_connection_and_the_mo
             let wanted = Arc::new(AtomicU8::new(0));
             let line = TcpLink::connect(&TcpConfig { address }).unwrap();
             let line = Meddled { line, wanted: Arc::clone(&wanted), held: None };
-            let mut host = Host::new(Box::new(keyed(address).open(line).unwrap()), Dialect::GatewayV1);
+            let mut host = Host::new(Box::new(keyed(address).open(line).unwrap()));
             host.open();
             host.lead_to_moving();
             assert!(!emulation.observed().is_braked);

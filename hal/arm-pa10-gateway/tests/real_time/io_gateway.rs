@@ -9,16 +9,16 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use pb3dp_arm_pa10::bus::{BusDown, BusPort, FRAME_ROOM, FrameListener, FrameSocket};
 use pb3dp_arm_pa10::driver::{DriverState, Request};
 use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10_emulation::mock_controller::ControlMode;
+use pb3dp_arm_pa10_gateway::bus::{BusDown, BusPort, FRAME_ROOM, FrameListener, FrameSocket};
 use pb3dp_arm_pa10_gateway::service::{
     Access, BusOpener, GatewayEvent, GatewayServer, GatewayServerConfig, GatewayServerError, Happened, HostSide,
 };
-use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, GatewayState, StopCause};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{GatewayState, StopCause};
 use pb3dp_arm_pa10_test_support::world::{
-    ARM, Emulation, FORMAT, Host, LONG, gateway_config, home, keyed, ms, tcp_side, test_key, velocity,
+    ARM, Emulation, Host, LONG, gateway_config, home, keyed, ms, tcp_side, test_key, velocity,
 };
 use pb3dp_hal_platform::local_socket::LocalConfig;
 use pb3dp_hal_platform::pty::Pty;
@@ -48,17 +48,12 @@ fn start(bus: BusOpener, host: HostSide) -> GatewayServer {
 }
 
 fn serial(path: &Path) -> HostSide {
-    HostSide::Line(Box::new(SerialConfig {
-        path: path.to_str().unwrap().to_owned(),
-        baud: 921_600,
-        dialect: Dialect::GatewayV1,
-        format: FORMAT,
-        cycle: ms(10),
-    }))
+    let path = path.to_str().unwrap().to_owned();
+    HostSide::Line(Box::new(SerialConfig { path, baud: 921_600, cycle: ms(10) }))
 }
 
-fn connect(address: SocketAddr, dialect: Dialect) -> Host {
-    Host::new(keyed(address).connect().unwrap(), dialect)
+fn connect(address: SocketAddr) -> Host {
+    Host::new(keyed(address).connect().unwrap())
 }
 
 fn events(server: &GatewayServer) -> Vec<Happened> {
@@ -137,30 +132,28 @@ fn an_arm_goes_up_and_down_over_a_pseudo_terminal() {
 }
 
 fn up_and_down_over_a_pseudo_terminal() {
-    for dialect in [Dialect::GatewayV1, Dialect::Transparent] {
-        let pty = Pty::open().unwrap();
-        let (server, emulation) = server(serial(pty.path()));
-        messages_until(&server, "is open");
-        let mut host = Host::new(Box::new(pty), dialect);
-        let witness = Witness(&server);
-        go_up_and_down(&mut host, &emulation);
-        drop(witness);
-        let mut happened = events_until(&server, GatewayState::Moving);
-        happened.extend(events_until(&server, GatewayState::Idle));
-        assert!(happened.contains(&Happened::HostGreeted(dialect)), "{happened:?}");
-        let states = happened.iter().filter_map(|what| match what {
-            Happened::State { to, .. } => Some(*to),
-            _ => None,
-        });
-        let states = states.collect::<Vec<_>>();
-        use GatewayState::{Holding, Idle, Moving, Started};
-        assert!(states.windows(3).any(|run| run == [Started, Holding, Moving]), "{states:?}");
-        assert_eq!(states.last(), Some(&Idle), "{states:?}");
-        let status = server.end().unwrap();
-        assert_eq!((status.cause, status.answers_dropped), (StopCause::None, 0));
-        // The line ends with its owner.
-        assert!(!host.run_for(ms(5), |host| host.is_gone));
-    }
+    let pty = Pty::open().unwrap();
+    let (server, emulation) = server(serial(pty.path()));
+    messages_until(&server, "is open");
+    let mut host = Host::new(Box::new(pty));
+    let witness = Witness(&server);
+    go_up_and_down(&mut host, &emulation);
+    drop(witness);
+    let mut happened = events_until(&server, GatewayState::Moving);
+    happened.extend(events_until(&server, GatewayState::Idle));
+    assert!(happened.contains(&Happened::HostGreeted), "{happened:?}");
+    let states = happened.iter().filter_map(|what| match what {
+        Happened::State { to, .. } => Some(*to),
+        _ => None,
+    });
+    let states = states.collect::<Vec<_>>();
+    use GatewayState::{Holding, Idle, Moving, Started};
+    assert!(states.windows(3).any(|run| run == [Started, Holding, Moving]), "{states:?}");
+    assert_eq!(states.last(), Some(&Idle), "{states:?}");
+    let status = server.end().unwrap();
+    assert_eq!((status.cause, status.answers_dropped), (StopCause::None, 0));
+    // The line ends with its owner.
+    assert!(!host.run_for(ms(5), |host| host.is_gone));
 }
 
 #[test]
@@ -177,7 +170,7 @@ fn unplugged_in_motion() {
     let (server, emulation) = server(serial(&line));
     messages_until(&server, "is open");
     let witness = Witness(&server);
-    let mut host = Host::new(Box::new(pty), Dialect::GatewayV1);
+    let mut host = Host::new(Box::new(pty));
     host.open();
     host.lead_to_moving();
     drop(witness);
@@ -196,7 +189,7 @@ fn unplugged_in_motion() {
 fn a_host_whose_connection_ends_in_motion_is_silent_and_the_next_one_has_to_reset() {
     in_real_time_beside_others(|| {
         let (side, address) = tcp_side();
-        connection_ends_in_motion(side, || connect(address, Dialect::GatewayV1), "127.0.0.1 port ");
+        connection_ends_in_motion(side, || connect(address), "127.0.0.1 port ");
     });
 }
 
@@ -207,7 +200,7 @@ fn the_same_holds_for_a_host_on_the_computer_of_the_gateway() {
     let config = LocalConfig { path: path.clone() };
     in_real_time_beside_others(move || {
         let side = HostSide::listen_at_socket(&path, ARM).unwrap();
-        let connect = || Host::new(config.clone().connect().unwrap(), Dialect::GatewayV1);
+        let connect = || Host::new(config.clone().connect().unwrap());
         connection_ends_in_motion(side, connect, "this computer: end the program there");
     });
     assert!(!folder.path().join("arm1.sock").exists(), "the socket vanishes with the gateway");
@@ -286,11 +279,11 @@ fn a_connection_that_has_been_silent_for_a_second_gives_way() {
     let (side, address) = tcp_side();
     let (server, _emulation) = server(side);
     // Half-open: the host sends nothing after HELLO, and its end is never reported.
-    let mut silent = connect(address, Dialect::GatewayV1);
+    let mut silent = connect(address);
     silent.open();
     messages_until(&server, "a host connected");
     std::thread::sleep(ms(1200));
-    let mut host = connect(address, Dialect::GatewayV1);
+    let mut host = connect(address);
     host.open();
     let happened = events(&server);
     assert!(happened.contains(&Happened::HostReplaced), "{happened:?}");
@@ -323,7 +316,7 @@ fn bus_goes_down() {
     };
     let emulation = Emulation::start(accept(), None);
     let witness = Witness(&server);
-    let mut host = connect(address, Dialect::GatewayV1);
+    let mut host = connect(address);
     host.open();
     host.lead_to_moving();
     let mut controller = emulation.unplug();
@@ -394,7 +387,7 @@ fn panics_in_motion() {
         let (side, address) = tcp_side();
         let server = start(opener, side);
         let witness = Witness(&server);
-        let mut host = connect(address, Dialect::GatewayV1);
+        let mut host = connect(address);
         host.open();
         host.lead_to_moving();
         drop(witness);

@@ -8,16 +8,16 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use pb3dp_arm_pa10::arm::{Pa10Arm, Pa10ArmConfig, trip_line};
-use pb3dp_arm_pa10::bus::{BusPort, FRAME_ROOM, FrameSocket};
 use pb3dp_arm_pa10::driver::{DriverConfig, LimitsCheck};
 use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockServer, MockServerConfig, MockServerError};
 use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, MockControllerConfig, Script, pa10_joints};
+use pb3dp_arm_pa10_gateway::bus::{BusPort, FRAME_ROOM, FrameSocket};
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
 use pb3dp_arm_pa10_gateway::service::Access;
 use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmId, Dialect, Firmware, GatewayState, Geometry, HostLimits, MotionLimits, StopCause,
+    ArmId, Firmware, GatewayState, Geometry, HostLimits, MotionLimits, StopCause,
 };
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_test_support::world::{keyed, test_key};
@@ -72,7 +72,7 @@ fn rig(face: MockFace) -> Rig {
 impl Rig {
     fn serial(&self) -> Box<dyn Connector> {
         let path = self.server.address();
-        Box::new(SerialConfig { path, baud: 921_600, dialect: Dialect::GatewayV1, format: FORMAT, cycle: CYCLE })
+        Box::new(SerialConfig { path, baud: 921_600, cycle: CYCLE })
     }
 
     /// An enabled arm that tolerates the delays of a loaded machine.
@@ -80,12 +80,10 @@ impl Rig {
         let limit = JointVector::from([177.0f64, 91.0, 174.0, 137.0, 255.0, 165.0, 255.0].map(f64::to_radians));
         let limits = LimitsCheck::Compare { lower_rad: -limit, upper_rad: limit, tolerance_rad: 0.5f64.to_radians() };
         let driver = DriverConfig { limits, ..DriverConfig::with_cycle(CYCLE) };
-        let (dialect, geometry) = (Dialect::GatewayV1, Geometry::Unknown);
         let link = GatewayLinkConfig {
             arm: ArmId(2),
-            dialect,
             format: FORMAT,
-            geometry,
+            geometry: Geometry::Unknown,
             cycle: CYCLE,
             limits: HostLimits::WIDEST,
             signals: StatusSignals::ORCA,
@@ -362,7 +360,7 @@ fn an_arm_is_found_again_wherever_its_terminal_is() {
     in_real_time_beside_others(|| {
         let rig = rig(MockFace::Pty(gateway()));
         let path = rig.server.address();
-        let config = SerialConfig { path, baud: 921_600, dialect: Dialect::GatewayV1, format: FORMAT, cycle: CYCLE };
+        let config = SerialConfig { path, baud: 921_600, cycle: CYCLE };
         let mut arm = rig.enabled(Box::new(rig.server.port(config)));
         let before = rig.server.address();
         rig.server.unplug();
@@ -446,6 +444,6 @@ fn answers_that_nobody_reads_are_dropped() {
         });
         assert!(flooded);
         drop(host);
-        assert!(wait_for(|| rig.server.report().gateway.unwrap().host.is_none()));
+        assert!(wait_for(|| !rig.server.report().gateway.unwrap().has_host));
     });
 }
