@@ -100,7 +100,7 @@ pub enum WarmUpFailure {
     },
 }
 
-/// Counts misses in a row and the exchanges of a warm-up.
+/// Counts lost, late and damaged replies.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct LinkMonitor {
     pub counters: LinkCounters,
@@ -108,11 +108,11 @@ pub(super) struct LinkMonitor {
     recent: RecentFailures,
     /// A damaged reply came since the last outcome.
     is_damaged: bool,
-    warm_up: WarmUp,
 }
 
-#[derive(Clone, Copy, Debug, Default)]
-struct WarmUp {
+/// Test of the link before the brakes may open.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct WarmUp {
     exchanges: u32,
     slow: u32,
     bad_before: u64,
@@ -125,23 +125,26 @@ impl LinkMonitor {
         self.counters.sent += 1;
     }
 
-    pub fn handle_answer(&mut self, round_trip: Duration) {
+    pub fn handle_answer(&mut self, round_trip: Duration, warm_up: Option<&mut WarmUp>) {
         self.counters.answered += 1;
         self.misses = 0;
         self.recent.push(std::mem::take(&mut self.is_damaged));
-        self.warm_up.exchanges += 1;
-        self.warm_up.slow += u32::from(round_trip > self.warm_up.allowed);
-        self.warm_up.worst = self.warm_up.worst.max(round_trip);
+        let Some(warm_up) = warm_up else { return };
+        warm_up.exchanges += 1;
+        warm_up.slow += u32::from(round_trip > warm_up.allowed);
+        warm_up.worst = warm_up.worst.max(round_trip);
     }
 
     /// Counts a message without a usable reply. Returns their number in a row, if it is too large.
-    pub fn handle_miss(&mut self) -> Option<u32> {
+    pub fn handle_miss(&mut self, warm_up: Option<&mut WarmUp>) -> Option<u32> {
         self.counters.lost += 1;
         self.misses += 1;
         self.recent.push(true);
         self.is_damaged = false;
-        self.warm_up.exchanges += 1;
-        self.warm_up.slow += 1;
+        if let Some(warm_up) = warm_up {
+            warm_up.exchanges += 1;
+            warm_up.slow += 1;
+        }
         (self.misses > MISSES_TOLERATED).then_some(self.misses)
     }
 
@@ -164,13 +167,13 @@ impl LinkMonitor {
         self.recent.clear();
     }
 
-    pub fn begin_warm_up(&mut self, allowed: Duration) {
-        self.warm_up = WarmUp { allowed, bad_before: self.bad(), ..WarmUp::default() };
+    pub fn begin_warm_up(&self, allowed: Duration) -> WarmUp {
+        WarmUp { exchanges: 0, slow: 0, bad_before: self.bad(), allowed, worst: Duration::ZERO }
     }
 
     /// The result of the warm-up, once it has `exchanges_needed` exchanges.
-    pub fn warm_up(&self, exchanges_needed: u32) -> Option<Result<(), WarmUpFailure>> {
-        let WarmUp { exchanges, slow, bad_before, allowed, worst } = self.warm_up;
+    pub fn judge(&self, warm_up: WarmUp, exchanges_needed: u32) -> Option<Result<(), WarmUpFailure>> {
+        let WarmUp { exchanges, slow, bad_before, allowed, worst } = warm_up;
         if exchanges < exchanges_needed {
             return None;
         }

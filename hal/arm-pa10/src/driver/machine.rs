@@ -10,8 +10,8 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::{JointState, JointVector};
 
 use super::link::LinkMonitor;
-use super::motion::Motion;
-use super::phase::{LookStep, Phase, StopStep};
+use super::motion::{Ramp, VelocityCommand};
+use super::state::{EnableStep, EndStep, Latched, LookStep, ReleaseStep, State, StopStep};
 use super::table::{Activity, DriverState, Event, Outcome, outcome};
 use super::torque::TorqueMonitor;
 use super::{
@@ -59,28 +59,11 @@ pub struct AxisLimits {
     pub upper_rad: f64,
 }
 
-/// Cause and time of a latch.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Latched {
-    /// The cause. After a failed reset: the cause of the failure.
-    pub trip: Trip,
-    /// Time.
-    pub at: MonotonicTime,
-    /// Previous state.
-    pub state_before: DriverState,
-}
-
 /// The host's side of one arm.
 #[derive(Clone, Debug)]
 pub struct Driver {
     pub(super) config: DriverConfig,
-    pub(super) state: DriverState,
-    pub(super) phase: Phase,
-    pub(super) phase_since: MonotonicTime,
-    pub(super) latched: Option<Latched>,
-    /// The gateway has to latch the cause too.
-    pub(super) latch_in_gateway: bool,
-    pub(super) motion: Motion,
+    pub(super) state: State,
     pub(super) link: LinkMonitor,
     pub(super) warm_up_failure: Option<WarmUpFailure>,
     pub(super) sample: Option<Sample>,
@@ -89,17 +72,11 @@ pub struct Driver {
     pub(super) limits: [Option<AxisLimits>; Axis::COUNT],
     /// The shorter time-out of this watchdog and the gateway's.
     pub(super) stops_after: Duration,
-    /// Time of the last request, or of the last cycle with open brakes.
-    pub(super) last_request_at: MonotonicTime,
     pub(super) outstanding: Option<Outstanding>,
     /// The previous message, if its answer did not come.
     given_up: Option<Letter>,
     next_transmit: MonotonicTime,
     exchange: u64,
-    /// S was sent, and no E was answered since.
-    pub(super) control_started: bool,
-    /// The last cyclic command opened the brakes.
-    pub(super) brakes_open: bool,
 }
 
 /// An outstanding message.
@@ -129,12 +106,7 @@ impl Driver {
         config.check()?;
         Ok(Self {
             config,
-            state: DriverState::Disconnected,
-            phase: Phase::Steady,
-            phase_since: MonotonicTime::ZERO,
-            latched: None,
-            latch_in_gateway: false,
-            motion: Motion::Rest,
+            state: State::Disconnected,
             link: LinkMonitor::default(),
             warm_up_failure: None,
             sample: None,
@@ -142,29 +114,26 @@ impl Driver {
             torques: TorqueMonitor::default(),
             limits: [None; Axis::COUNT],
             stops_after: config.watchdog.stop_after(),
-            last_request_at: MonotonicTime::ZERO,
             outstanding: None,
             given_up: None,
             next_transmit: MonotonicTime::ZERO,
             exchange: 0,
-            control_started: false,
-            brakes_open: false,
         })
     }
 
     /// State of the driver.
     pub fn state(&self) -> DriverState {
-        self.state
+        self.state.driver_state()
     }
 
     /// Current activity.
     pub fn activity(&self) -> Activity {
-        self.phase.activity()
+        self.state.activity().map_or(Activity::None, |(activity, _)| activity)
     }
 
     /// Cause of the latch, if there is one.
     pub fn latched(&self) -> Option<&Latched> {
-        self.latched.as_ref()
+        self.state.latch().map(|latch| &latch.cause)
     }
 
     /// Why the last enabling failed, until the next one.
@@ -204,25 +173,31 @@ impl Driver {
     pub fn handle_request(&mut self, now: MonotonicTime, request: Request) -> Result<(), Refusal> {
         // Expired commands expire before a new velocity could hide it.
         self.handle_timeout(now);
-        self.last_request_at = now;
-        let event = request.event();
-        let activity = self.activity();
-        let answer = outcome(self.state, event);
+        if let State::Holding { last_request, .. } = &mut self.state {
+            *last_request = now;
+        }
+        let (event, state, activity) = (request.event(), self.state(), self.activity());
+        let answer = outcome(state, event);
         if answer == Outcome::Refuse {
-            return Err(Refusal::NotInState { request: event, state: self.state });
+            return Err(Refusal::NotInState { request: event, state });
         }
         if activity != Activity::None && event != Event::Stop {
             // Every activity includes a stop.
             return if event == Event::Hold { Ok(()) } else { Err(Refusal::Busy { request: event, activity }) };
         }
         if let Request::Move(velocity_rad_per_s) = request {
-            self.follow(now, velocity_rad_per_s)?;
+            return Ok(self.follow(now, velocity_rad_per_s)?);
         }
         match answer {
-            Outcome::To(next) => self.go(now, next),
-            Outcome::Begin(Activity::Stopping) => self.begin_stop(now, false),
+            Outcome::To(next) => {
+                if next == DriverState::Disconnected {
+                    (self.sample, self.joints, self.limits) = (None, None, [None; Axis::COUNT]);
+                }
+                self.enter(now, next);
+            }
+            Outcome::Begin(Activity::Stopping) => self.begin_stop(now, None),
             Outcome::Begin(activity) => self.begin(now, activity),
-            Outcome::Stay if event == Event::Stop && activity != Activity::None => self.begin_stop(now, false),
+            Outcome::Stay if event == Event::Stop && activity != Activity::None => self.begin_stop(now, None),
             Outcome::Stay | Outcome::Refuse => {}
         }
         Ok(())
@@ -251,7 +226,7 @@ impl Driver {
             self.handle_miss(now);
             return;
         }
-        self.link.handle_answer(now.saturating_since(outstanding.sent));
+        self.link.handle_answer(now.saturating_since(outstanding.sent), self.state.warm_up());
         self.check_recent(now);
         match reply {
             Reply::Rejected(reason) => self.handle_rejection(now, *reason, FaultCause::Rejected(*reason)),
@@ -291,23 +266,27 @@ impl Driver {
             self.given_up = Some(outstanding.letter);
             self.handle_miss(now);
         }
-        if let (DriverState::Moving, Phase::Steady) = (self.state, self.phase)
-            && let Some(age) = self.motion.expired(now, &self.config.watchdog)
+        if let State::Moving(command) = &self.state
+            && let Some(age) = command.expired(now, &self.config.watchdog)
         {
             let allowed = self.config.watchdog.stop_after();
             self.trip(now, Trip::Fault(FaultCause::CommandTimeout { age, allowed }));
         }
-        let (age, allowed) = (now.saturating_since(self.last_request_at), self.config.owner_timeout);
-        if (self.state, self.phase) == (DriverState::Holding, Phase::Steady) && age > allowed {
-            self.trip(now, Trip::Fault(FaultCause::OwnerSilent { age, allowed }));
+        if let State::Holding { last_request, .. } = self.state {
+            let (age, allowed) = (now.saturating_since(last_request), self.config.owner_timeout);
+            if age > allowed {
+                self.trip(now, Trip::Fault(FaultCause::OwnerSilent { age, allowed }));
+            }
         }
         let allowed = self.config.activity_timeout;
-        if self.phase != Phase::Steady && now.saturating_since(self.phase_since) > allowed {
+        if let Some((activity, since)) = self.state.activity()
+            && now.saturating_since(since) > allowed
+        {
             // A stop is given up only after the time of the emergency order, which a fault starts again.
-            let is_last = self.activity() == Activity::Stopping && self.state.is_latched();
-            self.trip(now, Trip::Fault(FaultCause::ActivityTimeout { activity: self.activity(), allowed }));
+            let is_last = self.is_stopping_latched();
+            self.trip(now, Trip::Fault(FaultCause::ActivityTimeout { activity, allowed }));
             if is_last {
-                self.finish_stop(now);
+                self.complete(now, Event::Stopped);
             }
         }
     }
@@ -320,21 +299,21 @@ impl Driver {
         }
         self.advance_stop(now);
         let message = self.due_message(now)?;
-        self.note_sent(now, &message);
+        self.note_sent(now, message.letter());
         let exchange = self.exchange;
         self.exchange += 1;
-        let latches = self.latch_in_gateway && self.is_stopping_latched();
+        let latches = self.is_stopping_latched() && self.state.latch().is_some_and(|latch| latch.in_gateway);
         Some(Transmit { exchange, message, latches })
     }
 
     /// Time of the next required poll, if the driver waits for anything but a request.
     pub fn next_deadline(&self) -> Option<MonotonicTime> {
-        let sends = self.phase != Phase::Steady || self.is_cycling();
+        let sends = !matches!(self.state, State::Disconnected | State::Connected | State::Latched(_));
         let transmit = (sends && self.outstanding.is_none()).then_some(self.next_transmit);
         let reply = self.outstanding.map(|outstanding| outstanding.deadline);
-        let command = match self.motion {
-            Motion::Follow { since, .. } => Some(since + self.config.watchdog.stop_after()),
-            Motion::Rest | Motion::Ramp { .. } => None,
+        let command = match &self.state {
+            State::Moving(command) => Some(command.since + self.config.watchdog.stop_after()),
+            _ => None,
         };
         [transmit, reply, command].into_iter().flatten().min()
     }
@@ -370,95 +349,79 @@ impl Driver {
 
     /// Accepts a velocity, or holds if it cannot be sent.
     fn follow(&mut self, now: MonotonicTime, velocity_rad_per_s: JointVector) -> Result<(), CodecError> {
-        match ArmCommand::velocities(&velocity_rad_per_s, self.config.supervision) {
-            Ok(_) => {
-                self.motion = Motion::Follow { velocity_rad_per_s, since: now };
-                Ok(())
-            }
-            Err(error) => {
-                if self.state == DriverState::Moving {
-                    self.go(now, DriverState::Holding);
-                }
-                Err(error)
-            }
+        let command = ArmCommand::velocities(&velocity_rad_per_s, self.config.supervision);
+        if command.is_ok() {
+            self.state = State::Moving(VelocityCommand { velocity_rad_per_s, since: now });
+        } else if let State::Moving(_) = self.state {
+            self.enter(now, DriverState::Holding);
         }
+        command.map(drop)
     }
 
-    /// Changes the state on request.
-    fn go(&mut self, now: MonotonicTime, next: DriverState) {
-        match next {
-            DriverState::Holding => {
+    /// Enters a state without an activity. Moving needs a velocity, and a latch a cause.
+    pub(super) fn enter(&mut self, now: MonotonicTime, next: DriverState) {
+        self.state = match (next, self.state.latch()) {
+            (DriverState::Disconnected, _) => State::Disconnected,
+            (DriverState::Connected, _) => State::Connected,
+            (DriverState::Enabled, _) => State::Enabled,
+            (DriverState::Holding, _) => {
                 let velocity = self.velocity_rad_per_s(now);
-                self.motion = Motion::decelerate(velocity, &self.config.deceleration_rad_per_s2, now);
+                let ramp = Ramp::decelerate(velocity, &self.config.deceleration_rad_per_s2, now);
+                State::Holding { ramp, last_request: now }
             }
-            DriverState::Disconnected => {
-                self.sample = None;
-                self.joints = None;
-                self.limits = [None; Axis::COUNT];
-            }
-            _ => {}
-        }
-        self.state = next;
+            (DriverState::Fault | DriverState::EStop, Some(latch)) => State::Latched(*latch),
+            (DriverState::Moving | DriverState::Fault | DriverState::EStop, _) => return,
+        };
     }
 
     fn begin(&mut self, now: MonotonicTime, activity: Activity) {
-        let phase = match activity {
-            Activity::Clearing => Phase::Looking { step: LookStep::Clear(0), activity },
-            Activity::Connecting => Phase::Looking { step: self.first_look(), activity },
-            Activity::Enabling => {
+        let since = now;
+        self.state = match (activity, self.state.latch()) {
+            (Activity::Clearing, Some(latch)) => State::Clearing { since, axis: Axis::ALL[0], latch: *latch },
+            (Activity::Connecting, _) => State::Looking { since, step: self.first_look(), latch: None },
+            (Activity::Enabling, _) => {
                 self.warm_up_failure = None;
-                Phase::Enabling { started: false }
+                State::Enabling { since, step: EnableStep::Start }
             }
-            Activity::Releasing => {
-                self.motion = Motion::Rest;
-                Phase::Releasing { since: None }
-            }
-            Activity::None | Activity::Stopping => return,
+            (Activity::Releasing, _) => State::Releasing { since, step: ReleaseStep::Due },
+            (Activity::None | Activity::Stopping | Activity::Clearing, _) => return,
         };
-        self.phase = phase;
-        self.phase_since = now;
         self.next_transmit = self.next_transmit.max(now);
         self.link.forget_misses();
     }
 
     pub(super) fn velocity_rad_per_s(&self, now: MonotonicTime) -> JointVector {
-        self.motion.velocity_rad_per_s(now, &self.config.watchdog)
-    }
-
-    /// Whether the state requires cyclic commands.
-    fn is_cycling(&self) -> bool {
-        matches!(self.state, DriverState::Enabled | DriverState::Holding | DriverState::Moving)
+        match &self.state {
+            State::Moving(command) => command.velocity_rad_per_s(now, &self.config.watchdog),
+            State::Holding { ramp, .. } | State::Braking { step: StopStep::Ramp(ramp), .. } => {
+                ramp.velocity_rad_per_s(now)
+            }
+            _ => JointVector::zeros(),
+        }
     }
 
     fn uniform(&self, command: AxisCommand) -> ControlMessage {
         ControlMessage::Cyclic(ArmCommand::uniform(command, self.config.supervision))
     }
 
-    fn due_message(&mut self, now: MonotonicTime) -> Option<ControlMessage> {
-        Some(match self.phase {
-            Phase::Steady => match self.state {
-                DriverState::Enabled => self.uniform(AxisCommand::Braked),
-                DriverState::Holding | DriverState::Moving => self.velocity_message(now),
-                DriverState::Disconnected | DriverState::Connected | DriverState::Fault | DriverState::EStop => {
-                    return None;
-                }
-            },
-            Phase::Looking { step, .. } => match step {
-                LookStep::Clear(index) => ControlMessage::ClearAlarm(Axis::ALL[index]),
-                LookStep::Limits(index) => ControlMessage::ReadEeprom(Axis::ALL[index]),
-                LookStep::Start => ControlMessage::Start,
+    fn due_message(&self, now: MonotonicTime) -> Option<ControlMessage> {
+        Some(match self.state {
+            State::Disconnected | State::Connected | State::Latched(_) => return None,
+            State::Clearing { axis, .. } => ControlMessage::ClearAlarm(axis),
+            State::Looking { step, .. } => match step {
+                LookStep::Limits(axis) => ControlMessage::ReadEeprom(axis),
+                LookStep::Start | LookStep::StartSent => ControlMessage::Start,
                 LookStep::Look => self.uniform(AxisCommand::Off),
                 LookStep::End => ControlMessage::End,
             },
-            Phase::Enabling { started: false } => ControlMessage::Start,
-            Phase::Enabling { started: true } => self.uniform(AxisCommand::Braked),
-            Phase::Releasing { .. } => self.velocity_message(now),
-            Phase::Stopping(step) => match step {
-                StopStep::Ramp | StopStep::Rest { .. } => self.velocity_message(now),
-                StopStep::Brake { .. } => self.uniform(AxisCommand::Braked),
-                StopStep::Off => self.uniform(AxisCommand::Off),
-                StopStep::End { .. } => ControlMessage::End,
-            },
+            State::Enabling { step: EnableStep::Start | EnableStep::StartSent, .. } => ControlMessage::Start,
+            State::Enabling { step: EnableStep::WarmUp(_), .. } | State::Enabled => self.uniform(AxisCommand::Braked),
+            State::Braking { step: StopStep::Brake { .. }, .. } => self.uniform(AxisCommand::Braked),
+            State::Releasing { .. } | State::Holding { .. } | State::Moving(_) | State::Braking { .. } => {
+                self.velocity_message(now)
+            }
+            State::Ending { step: EndStep::Off, .. } => self.uniform(AxisCommand::Off),
+            State::Ending { step: EndStep::End { .. }, .. } => ControlMessage::End,
         })
     }
 
@@ -469,20 +432,12 @@ impl Driver {
         command.map_or_else(|_| self.uniform(AxisCommand::Braked), ControlMessage::Cyclic)
     }
 
-    fn note_sent(&mut self, now: MonotonicTime, message: &ControlMessage) {
-        let letter = message.letter();
+    fn note_sent(&mut self, now: MonotonicTime, letter: Letter) {
         let timeout = if letter == Letter::Cyclic { self.config.reply_timeout } else { self.config.control_timeout };
         self.outstanding = Some(Outstanding { letter, sent: now, deadline: now + timeout });
         self.given_up = None;
         self.link.handle_sent();
-        match message {
-            ControlMessage::Start => self.control_started = true,
-            ControlMessage::Cyclic(command) => {
-                self.brakes_open = matches!(command.axes[0], AxisCommand::Speed(_));
-            }
-            _ => {}
-        }
-        self.note_stop_sent(now);
+        self.state.note_sent(now, self.config.brake_time);
         // Cycles keep their grid; missed ones are skipped and counted.
         self.next_transmit = self.next_transmit + self.config.cycle;
         if self.next_transmit <= now {

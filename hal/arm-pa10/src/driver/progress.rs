@@ -9,9 +9,10 @@ use pb3dp_hal_api::RecentFailures;
 use pb3dp_kinematics::{JointState, JointVector};
 
 use super::config::LimitsCheck;
-use super::machine::{AxisLimits, Driver, Latched};
-use super::motion::Motion;
-use super::phase::{LookStep, Phase, StopStep};
+use super::link::WarmUp;
+use super::machine::{AxisLimits, Driver};
+use super::motion::Ramp;
+use super::state::{EnableStep, EndStep, Ended, Latch, Latched, LookStep, ReleaseStep, State, StopStep, Stopped};
 use super::table::{Activity, DriverState, Event, Outcome, outcome};
 use super::torque::TorqueMonitor;
 use super::{FaultCause, Sample, Trip, WarmUpFailure};
@@ -27,17 +28,18 @@ impl Driver {
         self.keep(now, sample);
         let found = sample.condition.trip(&self.config.signals);
         let lost = || {
-            let condition = &sample.condition;
-            let opens = matches!(self.phase, Phase::Releasing { .. });
-            let follows = self.phase == Phase::Steady && self.state.has_open_brakes();
-            let cycles = self.phase == Phase::Steady || matches!(self.phase, Phase::Enabling { .. });
-            let stopped = (cycles || opens).then(|| condition.gateway_stopped()).flatten();
-            let signals = &self.config.signals;
-            let lost = || (follows || opens).then(|| condition.uncontrollable(signals)).flatten().map(Trip::from);
-            stopped.map(Trip::Fault).or_else(lost)
+            let (condition, signals) = (&sample.condition, &self.config.signals);
+            let stopped = || condition.gateway_stopped().map(Trip::Fault);
+            match self.state {
+                State::Enabling { .. } | State::Enabled => stopped(),
+                State::Releasing { .. } | State::Holding { .. } | State::Moving(_) => {
+                    stopped().or_else(|| condition.uncontrollable(signals).map(Trip::from))
+                }
+                _ => None,
+            }
         };
         let measured = now - sample.age;
-        let overloaded = match self.brakes_open {
+        let overloaded = match self.state.has_open_brakes() {
             true => self.torques.judge(measured, &sample.torque_n_m, &self.config).map(Trip::Fault),
             // The drives are not responsible for a load that the brakes carry.
             false => {
@@ -50,16 +52,18 @@ impl Driver {
             self.trip(now, trip);
             return;
         }
-        match self.phase {
-            Phase::Looking { step: LookStep::Look, activity } => {
-                self.phase = Phase::Looking { step: LookStep::End, activity };
+        match self.state {
+            State::Looking { since, step: LookStep::Look, latch } => {
+                self.state = State::Looking { since, step: LookStep::End, latch };
             }
-            Phase::Enabling { started: true } => self.judge_warm_up(now, sample),
+            State::Enabling { step: EnableStep::WarmUp(warm_up), .. } => self.judge_warm_up(now, sample, warm_up),
             // From the first answer on: a gateway counts from the received command, not from a lost one.
-            Phase::Releasing { since: None } if self.brakes_open => {
-                self.phase = Phase::Releasing { since: Some(now) };
+            State::Releasing { since, step: ReleaseStep::Sent } => {
+                self.state = State::Releasing { since, step: ReleaseStep::Answered(now) };
             }
-            Phase::Releasing { since: Some(since) } if now.saturating_since(since) >= self.config.brake_time => {
+            State::Releasing { step: ReleaseStep::Answered(at), .. }
+                if now.saturating_since(at) >= self.config.brake_time =>
+            {
                 self.complete(now, Event::Released);
             }
             _ => {}
@@ -67,30 +71,25 @@ impl Driver {
     }
 
     pub(super) fn handle_done(&mut self, now: MonotonicTime) {
-        match self.phase {
-            Phase::Looking { step, activity } => {
-                let next = match step {
-                    LookStep::Clear(index) if index + 1 < Axis::COUNT => LookStep::Clear(index + 1),
-                    LookStep::Clear(_) => self.first_look(),
-                    LookStep::Limits(index) if index + 1 < Axis::COUNT => LookStep::Limits(index + 1),
-                    LookStep::Limits(_) => LookStep::Start,
-                    LookStep::Start | LookStep::Look => LookStep::Look,
-                    LookStep::End => {
-                        self.control_started = false;
-                        let done = if activity == Activity::Clearing { Event::Cleared } else { Event::Inspected };
-                        self.complete(now, done);
-                        return;
-                    }
-                };
-                self.phase = Phase::Looking { step: next, activity };
+        let after = |axis: Axis| Axis::ALL.get(axis.index() + 1).copied();
+        self.state = match self.state {
+            State::Clearing { since, axis, latch } => match after(axis) {
+                Some(axis) => State::Clearing { since, axis, latch },
+                None => State::Looking { since, step: self.first_look(), latch: Some(latch) },
+            },
+            State::Looking { step: LookStep::End, latch, .. } => {
+                return self.complete(now, if latch.is_some() { Event::Cleared } else { Event::Inspected });
             }
-            Phase::Enabling { started: false } => {
-                self.link.begin_warm_up(self.stops_after / 2);
-                self.phase = Phase::Enabling { started: true };
+            State::Looking { since, step: LookStep::Limits(axis), latch } => {
+                State::Looking { since, step: after(axis).map_or(LookStep::Start, LookStep::Limits), latch }
             }
-            Phase::Stopping(StopStep::End { .. }) => self.finish_stop(now),
-            _ => {}
-        }
+            State::Looking { since, latch, .. } => State::Looking { since, step: LookStep::Look, latch },
+            State::Enabling { since, step: EnableStep::Start | EnableStep::StartSent } => {
+                State::Enabling { since, step: EnableStep::WarmUp(self.link.begin_warm_up(self.stops_after / 2)) }
+            }
+            State::Ending { step: EndStep::End { .. }, .. } => return self.complete(now, Event::Stopped),
+            other => other,
+        };
     }
 
     /// Received limits: of the requested axis, and equal to the configuration.
@@ -114,13 +113,13 @@ impl Driver {
 
     /// First step of connecting.
     pub(super) fn first_look(&self) -> LookStep {
-        if self.config.limits == LimitsCheck::Skip { LookStep::Start } else { LookStep::Limits(0) }
+        if self.config.limits == LimitsCheck::Skip { LookStep::Start } else { LookStep::Limits(Axis::ALL[0]) }
     }
 
     /// An exchange without a usable reply.
     pub(super) fn handle_miss(&mut self, now: MonotonicTime) {
-        let too_many = self.link.handle_miss();
-        if let Phase::Looking { step: LookStep::Clear(_), .. } = self.phase {
+        let too_many = self.link.handle_miss(self.state.warm_up());
+        if let State::Clearing { .. } = self.state {
             // Not every controller knows this letter.
             self.link.forget_misses();
             self.handle_done(now);
@@ -130,10 +129,8 @@ impl Driver {
             self.trip(now, Trip::Fault(FaultCause::LinkLost { misses }));
         }
         self.check_recent(now);
-        if let Phase::Stopping(StopStep::End { tries }) = self.phase
-            && tries >= END_TRIES_MAX
-        {
-            self.finish_stop(now);
+        if let State::Ending { step: EndStep::End { tries: END_TRIES_MAX.. }, .. } = self.state {
+            self.complete(now, Event::Stopped);
         }
     }
 
@@ -147,23 +144,23 @@ impl Driver {
     }
 
     pub(super) fn handle_rejection(&mut self, now: MonotonicTime, reason: RejectReason, fault: FaultCause) {
-        match self.phase {
+        match self.state {
             // The gateway may have stopped the arm by itself before, or its brakes may have started to close later than counted
             // here.
-            Phase::Stopping(StopStep::End { tries }) if tries >= END_TRIES_MAX => self.finish_stop(now),
-            Phase::Stopping(StopStep::End { .. }) => {}
+            State::Ending { step: EndStep::End { tries: END_TRIES_MAX.. }, .. } => self.complete(now, Event::Stopped),
+            State::Ending { step: EndStep::End { .. }, .. } => {}
             // The gateway may have stopped the arm by itself before: the order continues by count and time.
-            Phase::Stopping(_) if self.state.is_latched() => {}
-            Phase::Looking { step: LookStep::Clear(_), .. } => self.handle_done(now),
+            State::Braking { .. } | State::Ending { .. } if self.is_stopping_latched() => {}
+            State::Clearing { .. } => self.handle_done(now),
             // A gateway that has just received an answer of its controller waits for the brakes before it ends the control mode.
-            Phase::Looking { step: LookStep::End, .. }
+            State::Looking { since, step: LookStep::End, .. }
                 if reason == RejectReason::WrongState
-                    && now.saturating_since(self.phase_since) < self.config.brake_time + BRAKES_LATER_MAX => {}
+                    && now.saturating_since(since) < self.config.brake_time + BRAKES_LATER_MAX => {}
             // A status of the arm says more than that the cause is still present.
-            Phase::Looking { activity: Activity::Clearing, .. }
-                if reason == RejectReason::CausePresent && self.is_stopped_by_arm() =>
+            State::Looking { latch: Some(latch), .. }
+                if reason == RejectReason::CausePresent && latch.cause.is_by_arm() =>
             {
-                self.begin_stop(now, true);
+                self.begin_stop(now, None);
             }
             _ => self.trip(now, Trip::Fault(fault)),
         }
@@ -175,115 +172,108 @@ impl Driver {
             Trip::Fault(_) => Event::FaultFound,
             Trip::EStop(_) => Event::EStopFound,
         };
-        let clearing = self.activity() == Activity::Clearing;
-        match outcome(self.state, event) {
-            Outcome::To(next) => {
+        let (state, activity, before) = (self.state(), self.activity(), self.state.latch().copied());
+        let latch = match (outcome(state, event), before) {
+            (Outcome::To(next), _) => {
                 // Connecting alone leaves no latch for the next program, which can connect too; and a gateway that its owner has
                 // stopped knows the cause.
                 let is_reported = matches!(trip, Trip::Fault(FaultCause::GatewayStopped { .. }));
-                self.latch_in_gateway = match self.state.is_latched() {
-                    true => self.latch_in_gateway,
-                    false => self.activity() != Activity::Connecting && !is_reported,
-                };
-                self.latched = Some(Latched { trip, at: now, state_before: self.state });
-                self.state = next;
+                let is_new = activity != Activity::Connecting && !is_reported;
+                Latch {
+                    cause: Latched { trip, at: now, state_before: state },
+                    is_emergency_stop: next == DriverState::EStop,
+                    in_gateway: before.map_or(is_new, |latch| latch.in_gateway),
+                }
             }
             // A reset with the cause still present, or with another one.
-            _ if clearing => {
-                if let Some(latched) = &mut self.latched {
-                    latched.trip = trip;
-                }
+            (_, Some(latch)) if activity == Activity::Clearing => {
+                Latch { cause: Latched { trip, ..latch.cause }, ..latch }
             }
             _ => return,
-        }
-        self.begin_stop(now, true);
+        };
+        self.begin_stop(now, Some(latch));
     }
 
-    /// Starts the stop order at the required step; repeating it is harmless.
-    pub(super) fn begin_stop(&mut self, now: MonotonicTime, emergency: bool) {
-        // After an emergency stop the arm is already stationary: there is no ramp.
-        let first = match self.state {
-            DriverState::EStop => StopStep::Rest { left: self.config.rest_cycles },
-            _ => StopStep::Ramp,
+    /// Starts the stop order at the required step, with a cause that latches or without one; repeating it is harmless.
+    pub(super) fn begin_stop(&mut self, now: MonotonicTime, cause: Option<Latch>) {
+        let latch = cause.or(self.state.latch().copied());
+        let braking = |step, of| State::Braking { since: now, step, of: latch.map_or(of, Stopped::Latched) };
+        let ending = |step, of| {
+            let of = latch.map_or(of, |latch| Ended::Stopped(Stopped::Latched(latch)));
+            State::Ending { since: now, step, of }
         };
-        if let Phase::Stopping(step) = self.phase {
-            if emergency {
-                // The rest of the order gets its full time: at most twice, because a fault and an emergency stop occur at most once
-                // each.
-                self.phase_since = now;
-                if step == StopStep::Ramp {
-                    self.motion = self.stopping_motion(now, emergency);
-                    self.phase = Phase::Stopping(first);
-                }
+        let first = self.first_stop_step(now, cause);
+        let next = match self.state {
+            State::Braking { .. } | State::Ending { .. } if cause.is_none() => return,
+            // The rest of the order gets its full time: at most twice, because a fault and an emergency stop occur at most once
+            // each.
+            State::Braking { step: StopStep::Ramp(_), of, .. } => braking(first, of),
+            State::Braking { step, of, .. } => braking(step, of),
+            State::Ending { step, of, .. } => ending(step, of),
+            State::Releasing { step: ReleaseStep::Sent | ReleaseStep::Answered(_), .. } => {
+                braking(first, Stopped::Enabled)
             }
-            return;
+            State::Holding { .. } => braking(first, Stopped::Holding),
+            State::Moving(_) => braking(first, Stopped::Moving),
+            // The control mode is off.
+            State::Disconnected | State::Looking { step: LookStep::Limits(_) | LookStep::Start, .. } => {
+                latch.map_or(State::Disconnected, State::Latched)
+            }
+            State::Connected | State::Enabling { step: EnableStep::Start, .. } => {
+                latch.map_or(State::Connected, State::Latched)
+            }
+            State::Latched(before) | State::Clearing { latch: before, .. } => State::Latched(cause.unwrap_or(before)),
+            // The brakes are closed.
+            State::Looking { .. } => ending(EndStep::Off, Ended::Connecting),
+            State::Enabling { .. } => ending(EndStep::Off, Ended::Enabling),
+            State::Enabled | State::Releasing { .. } => ending(EndStep::Off, Ended::Stopped(Stopped::Enabled)),
+        };
+        if self.activity() != Activity::Stopping {
+            self.cancel_waiting();
         }
-        self.cancel_waiting();
-        self.phase_since = now;
-        self.motion = self.stopping_motion(now, emergency);
-        if self.brakes_open {
-            self.phase = Phase::Stopping(first);
-        } else if self.control_started {
-            self.phase = Phase::Stopping(StopStep::Off);
-        } else {
-            self.finish_stop(now);
-        }
+        self.state = next;
+    }
+
+    /// The ramp, unless there was an emergency stop: after it the arm is already stationary.
+    fn first_stop_step(&self, now: MonotonicTime, cause: Option<Latch>) -> StopStep {
+        let from_rad_per_s = self.velocity_rad_per_s(now);
+        StopStep::Ramp(match cause {
+            Some(Latch { is_emergency_stop: true, .. }) => return StopStep::Rest { left: self.config.rest_cycles },
+            Some(_) if from_rad_per_s != JointVector::zeros() => {
+                Ramp::stop_within(from_rad_per_s, self.config.emergency_ramp, now)
+            }
+            _ => Ramp::decelerate(from_rad_per_s, &self.config.deceleration_rad_per_s2, now),
+        })
     }
 
     /// Goes to the next step of the stop order when the present one has ended.
     pub(super) fn advance_stop(&mut self, now: MonotonicTime) {
-        let Phase::Stopping(step) = self.phase else { return };
-        let next = match step {
-            StopStep::Ramp if self.motion.is_at_rest(now) => StopStep::Rest { left: self.config.rest_cycles },
-            StopStep::Rest { left: 0 } => StopStep::Brake { until: None },
-            StopStep::Brake { until: Some(until) } if now >= until => StopStep::Off,
+        let State::Braking { since, step, of } = self.state else { return };
+        let braking = |step| State::Braking { since, step, of };
+        self.state = match step {
+            StopStep::Ramp(ramp) if ramp.is_at_rest(now) => braking(StopStep::Rest { left: self.config.rest_cycles }),
+            StopStep::Rest { left: 0 } => braking(StopStep::Brake { until: None }),
+            StopStep::Brake { until: Some(until) } if now >= until => {
+                State::Ending { since, step: EndStep::Off, of: Ended::Stopped(of) }
+            }
             _ => return,
         };
-        self.phase = Phase::Stopping(next);
     }
 
-    /// Counts the messages of the stop order.
-    pub(super) fn note_stop_sent(&mut self, now: MonotonicTime) {
-        let Phase::Stopping(step) = self.phase else { return };
-        let next = match step {
-            StopStep::Ramp => return,
-            StopStep::Rest { left } => StopStep::Rest { left: left.saturating_sub(1) },
-            StopStep::Brake { until } => StopStep::Brake { until: Some(until.unwrap_or(now + self.config.brake_time)) },
-            StopStep::Off => StopStep::End { tries: 0 },
-            StopStep::End { tries } => StopStep::End { tries: tries + 1 },
-        };
-        self.phase = Phase::Stopping(next);
-    }
-
-    /// The stop order is complete, or given up: the gateway repeats what the controller does not answer.
-    pub(super) fn finish_stop(&mut self, now: MonotonicTime) {
-        self.control_started = false;
-        self.brakes_open = false;
-        self.motion = Motion::Rest;
-        self.complete(now, Event::Stopped);
-    }
-
-    /// An activity is complete.
-    fn complete(&mut self, now: MonotonicTime, event: Event) {
-        self.phase = Phase::Steady;
-        match outcome(self.state, event) {
-            Outcome::To(next) => {
-                if self.state.is_latched() {
-                    self.latched = None;
-                }
-                self.state = next;
-                // Its owner may have waited for this.
-                self.last_request_at = now;
-            }
-            Outcome::Stay => {}
+    /// An activity is complete, or a stop order is given up: the gateway repeats what the controller does not answer.
+    pub(super) fn complete(&mut self, now: MonotonicTime, event: Event) {
+        let state = self.state();
+        match outcome(state, event) {
+            Outcome::To(next) => self.enter(now, next),
+            Outcome::Stay => self.enter(now, state),
             Outcome::Begin(_) | Outcome::Refuse => {
-                self.trip(now, Trip::Fault(FaultCause::Internal { event, state: self.state }));
+                self.trip(now, Trip::Fault(FaultCause::Internal { event, state }));
             }
         }
     }
 
-    fn judge_warm_up(&mut self, now: MonotonicTime, sample: &Sample) {
-        let verdict = self.link.warm_up(self.config.warm_up_exchanges);
+    fn judge_warm_up(&mut self, now: MonotonicTime, sample: &Sample, warm_up: WarmUp) {
+        let verdict = self.link.judge(warm_up, self.config.warm_up_exchanges);
         let verdict = match verdict {
             Some(Ok(())) if sample.condition.is_power_too_warm() => Some(Err(WarmUpFailure::PowerTooWarm)),
             // The servos are on and the brakes are about to open: an axis that cannot hold would fall.
@@ -297,7 +287,7 @@ impl Driver {
             Some(Ok(())) => self.complete(now, Event::Warmed),
             Some(Err(failure)) => {
                 self.warm_up_failure = Some(failure);
-                self.begin_stop(now, false);
+                self.begin_stop(now, None);
             }
         }
     }
@@ -317,29 +307,19 @@ impl Driver {
         self.sample = Some(*sample);
     }
 
-    fn stopping_motion(&self, now: MonotonicTime, emergency: bool) -> Motion {
-        let from_rad_per_s = self.velocity_rad_per_s(now);
-        if self.state == DriverState::EStop || from_rad_per_s == JointVector::zeros() {
-            Motion::Rest
-        } else if emergency {
-            Motion::stop_within(from_rad_per_s, self.config.emergency_ramp, now)
-        } else {
-            Motion::decelerate(from_rad_per_s, &self.config.deceleration_rad_per_s2, now)
-        }
-    }
-
     /// A stop does not wait for the answer to a slow message; the link counts that answer as late.
     fn cancel_waiting(&mut self) {
         self.outstanding = self.outstanding.filter(|outstanding| outstanding.letter == Letter::Cyclic);
     }
 
-    /// Latched by a report of the arm: an alarm or an emergency stop.
-    fn is_stopped_by_arm(&self) -> bool {
-        let by_arm = |latched: &Latched| matches!(latched.trip, Trip::EStop(_)) || latched.trip.code().is_some();
-        self.latched.as_ref().is_some_and(by_arm)
-    }
-
     pub(super) fn is_stopping_latched(&self) -> bool {
-        self.state.is_latched() && self.activity() == Activity::Stopping
+        self.state.latch().is_some() && self.activity() == Activity::Stopping
+    }
+}
+
+impl Latched {
+    /// Whether the arm reported the cause: an alarm or an emergency stop.
+    fn is_by_arm(&self) -> bool {
+        matches!(self.trip, Trip::EStop(_)) || self.trip.code().is_some()
     }
 }
