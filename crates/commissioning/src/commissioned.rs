@@ -269,7 +269,7 @@ pub fn needed_records(setup: &Setup, now: SystemTime) -> Result<Vec<NeededRecord
 
 /// Number of an arm on its link; 0 without a link.
 pub fn arm_number(arm: &ArmSetup) -> u8 {
-    arm.link.number().map_or(0, |(number, _)| number.0)
+    arm.link.number().map_or(0, |number| number.0)
 }
 
 /// A valid record, and the arm of the setup that needs it.

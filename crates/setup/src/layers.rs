@@ -188,9 +188,6 @@ const KINDS: [(&str, &[&str]); 5] = [
     ("mounts.hand_from_cam_left", &["mounts.hand_eye"]),
 ];
 
-/// Tables that belong to one kind of link.
-const OF_LINK: [&str; 1] = ["gateway"];
-
 /// The only key that environment variables may set for a setup with real arms: every other one decides what moves, how fast, or
 /// which pose is believed.
 const BY_VARIABLE: &str = "run.seed";
@@ -351,8 +348,8 @@ impl Layers {
                 (old.as_str() != Some(new.as_str())).then(|| name.clone())
             })
             .collect();
-        for (name, table) in changed.iter().flat_map(|name| OF_LINK.map(|table| (name, table))) {
-            self.remove(&format!("arms.{name}.{table}"));
+        for name in &changed {
+            self.remove(&format!("arms.{name}.gateway"));
         }
         // Only the action `hold` has the key `resume`.
         let policies = value_at(&layer.stated, &["supervisor", "policies"]).and_then(Value::as_dict);

@@ -1,11 +1,9 @@
-//! Names of wire formats, geometries and sequences, in files and on the command line.
+//! Names of wire formats and geometries, in files and on the command line.
 
 use clap::ValueEnum;
-use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, WireFormat};
+use pb3dp_arm_pa10_protocol::codec::WireFormat;
 use pb3dp_arm_pa10_protocol::gateway_protocol::Geometry;
 use serde::Deserialize;
-
-use super::load::Checker;
 
 /// Wire formats: `A` and `B` in files, `a` and `b` on the command line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, ValueEnum)]
@@ -45,18 +43,6 @@ impl From<GeometryName> for Geometry {
             GeometryName::Unknown => Self::Unknown,
             GeometryName::FirstGeneration => Self::FirstGeneration,
             GeometryName::SecondGeneration => Self::SecondGeneration,
-        }
-    }
-}
-
-/// Number of messages after which sequence numbers wrap.
-pub fn sequence_modulus(key: &str, numbers: i64, check: &mut Checker) -> SequenceModulus {
-    match numbers {
-        128 => SequenceModulus::Modulo128,
-        256 => SequenceModulus::Modulo256,
-        _ => {
-            check.refuse(format!("{key} = {numbers}: allowed are 128 and 256"));
-            SequenceModulus::Modulo128
         }
     }
 }

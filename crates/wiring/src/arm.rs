@@ -466,15 +466,16 @@ fn open(line: Line<'_>, seat: TripSeat, wanted: Wanted<'_>) -> Result<Pa10Arm> {
 
 /// Opens the link to an arm and checks the arm; its brakes stay closed.
 pub(super) fn connect(line: Line<'_>, (seat, limits): (TripSeat, LimitsCheck), wanted: Wanted<'_>) -> Result<Pa10Arm> {
-    let Wanted { name, arm, control_period: _, clock, .. } = wanted;
-    let driver = |cycle| DriverConfig {
-        limits,
-        deceleration_rad_per_s2: *arm.limits.acceleration_max_rad_per_s2(),
-        ..DriverConfig::with_cycle(cycle)
-    };
+    let Wanted { name, arm, clock, .. } = wanted;
     let clock = Arc::clone(clock);
     let config = |link: &GatewayLinkConfig| {
-        Pa10ArmConfig::new(name, DriverConfig { signals: link.signals, ..driver(link.cycle) }, *link)
+        let driver = DriverConfig {
+            limits,
+            deceleration_rad_per_s2: *arm.limits.acceleration_max_rad_per_s2(),
+            signals: link.signals,
+            ..DriverConfig::with_cycle(link.cycle)
+        };
+        Pa10ArmConfig::new(name, driver, *link)
     };
     Ok(match line {
         Line::Virtual(link, end, time) => Pa10Arm::open_virtual(config(link), Box::new(end), time, seat)?,

@@ -20,7 +20,7 @@ pub(super) fn look_at_arms(says: &str, monitors: &[(&'static str, ArmMonitor)]) 
     refuse_real(says, arms)
 }
 
-/// Each arm with the firmware name of its gateway, if it has a gateway.
+/// Each arm with the firmware name of its gateway, once it has answered.
 fn refuse_real<'a>(says: &str, mut arms: impl Iterator<Item = (&'a str, Option<String>)>) -> Result<()> {
     let is_emulated = |firmware: &String| [EMULATION, MOCK_ARM].iter().any(|name| firmware.starts_with(name));
     if let Some((name, _)) = arms.find(|(_, firmware)| !firmware.as_ref().is_some_and(is_emulated)) {
@@ -68,7 +68,7 @@ mod tests {
             refuse_real("none: a drawing", arms).map_err(|refusal| refusal.to_string())
         };
         assert_eq!(warning_for([Some("pb3dp emulation"), Some("mock-arm 0.1.0")]), Ok(()));
-        // A gateway of this project has a real controller behind it; an arm on a bus of this computer reports no firmware.
+        // A gateway of this project has a real controller behind it; `None`: the gateway has not told its firmware.
         for (arms, name) in [
             ([Some("pb3dp gateway 0.1.0"), Some("mock-arm 0.1.0")], "vs-robot"),
             ([Some("mock-arm 0.1.0"), Some("PA-10 gateway")], "tc-robot"),

@@ -5,7 +5,9 @@
 use pb3dp_arm_pa10::driver::DriverState;
 use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, pa10_joints};
 use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig};
-use pb3dp_arm_pa10_protocol::codec::{ArmCommand, AxisCommand, ControlMessage, ServoWord, Supervision, WireFormat};
+use pb3dp_arm_pa10_protocol::codec::{
+    ArmCommand, AxisCommand, ControlMessage, ServoWord, SpeedCounts, Supervision, WireFormat,
+};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{Firmware, GatewayState, MotionLimits, StopCause};
 use pb3dp_arm_pa10_test_support::chain::{ARM, Chain};
 use pb3dp_arm_pa10_test_support::gateway_bench::{Bench, config, ms};
@@ -44,6 +46,20 @@ fn brakes_have_their_time_to_close_before_e() {
             assert_eq!(bench.gateway.status().stop_unacknowledged, !answers);
             assert_eq!((bench.state(), bench.cause()), (GatewayState::Idle, StopCause::None));
         }
+    }
+}
+
+/// An axis counts as driven from more than half of the slowest motion that an operator requests, 0.01 rad/s.
+#[test]
+fn an_arm_counts_as_found_in_motion_above_50_counts() {
+    for (counts, cause) in
+        [(50, StopCause::None), (-50, StopCause::None), (51, StopCause::HostSilent), (-51, StopCause::HostSilent)]
+    {
+        let mut bench = Bench::silent(config(WireFormat::BigEndian6x10));
+        bench.controller.speed = SpeedCounts(counts);
+        bench.gateway = Gateway::new(config(WireFormat::BigEndian6x10), bench.now).unwrap();
+        bench.run(ms(400));
+        assert_eq!(bench.cause(), cause, "{counts}");
     }
 }
 

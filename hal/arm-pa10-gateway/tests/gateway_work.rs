@@ -159,10 +159,21 @@ fn brakes_do_not_open_on_an_arm_that_was_never_measured() {
         // Once after the start of the gateway, and once with a measurement from before.
         for _ in 0..2 {
             bench.controller.servo[3] = ServoWord(0x8000);
+            bench.sent.clear();
             bench.tell(control(ArmOperation::Start));
+            while bench.state() != GatewayState::Started {
+                bench.tick();
+            }
+            // No measurement comes before the command.
+            bench.controller.drop_next = 1;
             let open = bench.command(DriveMode::Follow, JointVector::zeros());
-            let state = u32::from(bench.state().code());
-            assert_eq!(rejected(bench.ask(open)), (RejectReason::WrongState, state));
+            let started = u32::from(GatewayState::Started.code());
+            assert_eq!(rejected(bench.ask(open)), (RejectReason::WrongState, started));
+            bench.run(ms(10));
+            let refused = (RejectReason::CausePresent, u32::from(StopCause::AxisUncontrollable.code()));
+            assert_eq!(rejected(bench.ask(open)), refused);
+            let opens = |sent: &bench::Sent| matches!(sent.message, ControlMessage::Cyclic(command) if matches!(command.axes[3], AxisCommand::Speed(_)));
+            assert!(!bench.sent.iter().any(opens), "{:?}", bench.sent);
             bench.controller.servo[3] = ServoWord(0);
             bench.run(ms(6));
             bench.ask(open);

@@ -128,7 +128,14 @@ impl World {
             })),
             3 | 4 => return self.command(first, rest),
             5 => self.say(&HostMessage::Control(control(first))),
-            6 | 7 => self.say(&HostMessage::Heartbeat),
+            6 => self.tell_frame(&Frame {
+                arm: ARM,
+                frame_type: 0x05,
+                sequence: self.sequence,
+                timestamp_us: self.now.as_nanos() / 1000,
+                payload: Payload::EMPTY,
+            }),
+            7 => self.say(&HostMessage::Heartbeat),
             8 => {
                 let (body, later) = split(rest, usize::from(first));
                 self.tell(body);

@@ -50,6 +50,8 @@ pub struct Controller {
     pub servo: [ServoWord; 7],
     pub comm: CommWord,
     pub angle: AngleCounts,
+    /// Speed of the fourth axis.
+    pub speed: SpeedCounts,
     /// Replies in the other format.
     pub lies_about_format: bool,
 }
@@ -91,6 +93,7 @@ impl Controller {
             servo: [ServoWord(0); 7],
             comm: CommWord(0x0001),
             angle: AngleCounts(1000),
+            speed: SpeedCounts(3),
             lies_about_format: false,
         }
     }
@@ -104,7 +107,7 @@ impl Controller {
                 AxisStatus::Undocumented(self.servo[index].0)
             },
             angle: AngleCounts(self.angle.0.saturating_mul(index as i32 + 1)),
-            speed: documented.then_some(SpeedCounts(index as i16)),
+            speed: documented.then_some(if index == 3 { self.speed } else { SpeedCounts(index as i16) }),
             torque: TorqueCounts(-3),
         });
         let comm = if documented { CommStatus::Comm(self.comm) } else { CommStatus::Undocumented(self.comm.0) };

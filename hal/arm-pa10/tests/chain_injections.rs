@@ -257,6 +257,37 @@ fn a_gateway_moves_the_emulated_arm() {
     }
 }
 
+/// At most two lost replies in a row, late replies within the cycle, repeated and overtaken ones, and words that only inform.
+#[test]
+fn what_is_tolerated_leads_to_no_fault() {
+    for line in [
+        "drop 2",
+        "delay 1000 1500us",
+        "slow 1500us",
+        "duplicate 1000",
+        "reorder 8",
+        "truncate 2",
+        "wrong-sequence 2",
+        "wrong-letter 2",
+        "wrong-node 2",
+        "teaching-switch on",
+        "power-temperature high",
+        "torque 3 -40Nm",
+    ] {
+        let mut dice = Dice { seed: 77, count: 0 };
+        for _ in 0..4 {
+            let mut chain = Chain::new(WireFormat::BigEndian6x10, Some(Duration::from_millis(6)), joints());
+            chain.prepare();
+            let moving_for = Duration::from_micros(50_000 + dice.below(50_000) as u64);
+            move_about(&mut chain, &mut dice, moving_for);
+            chain.inject(line);
+            move_about(&mut chain, &mut dice, Duration::from_millis(500));
+            assert_eq!(chain.driver.state(), DriverState::Moving, "{line}: {:?}", chain.driver.latched());
+            assert_eq!(chain.controller.counters().watchdog_trips, 0, "{line}");
+        }
+    }
+}
+
 /// 1 % of the replies on the bus and of the frames on the line lost, never three in a row, over 10 simulated minutes.
 #[test]
 fn one_percent_of_losses_everywhere_is_no_fault() {

@@ -11,8 +11,8 @@ use pb3dp_arm_pa10::link::{GatewayLink, HelloError, LinkError};
 use pb3dp_arm_pa10_protocol::codec::{AngleCounts, ServoAlarm, ServoWord, WireFormat};
 use pb3dp_arm_pa10_protocol::codec::{Signal, SignalSource};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmId, ArmOperation, Control, FaultReport, GatewayMessage, GatewayState, Geometry, HostMessage, MotionQuantity,
-    RejectReason, StopCause,
+    ArmId, ArmOperation, Control, FaultReport, Frame, FrameParser, GatewayMessage, GatewayState, Geometry, HostMessage,
+    MessageError, MotionQuantity, Payload, Received, RejectReason, StopCause,
 };
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_test_support::link_rig::{ARM, CYCLE, FakeGateway, Rig, driver_config, link_config, ms, velocity};
@@ -75,6 +75,30 @@ fn a_gateway_of_another_arm_or_format_is_refused_by_name() {
     let signals = good.signals.with(signal, SignalSource::Wired);
     assert_eq!(greet(GatewayLinkConfig { signals, ..good }), HelloError::NotWired { signal });
     assert!(expected.to_string().contains("set to a second-generation arm"), "{expected}");
+}
+
+/// A program of another version, whose frame is sound.
+#[test]
+fn a_gateway_with_another_set_of_messages_is_refused_by_name() {
+    let mut link = GatewayLink::new(link_config(WireFormat::BigEndian6x10));
+    let mut driver = Driver::new(driver_config()).unwrap();
+    let mut gateway = FakeGateway::new(ARM, WireFormat::BigEndian6x10);
+    let now = MonotonicTime::from_nanos(1_000_000_000);
+    link.open(now);
+    let mut parser = FrameParser::new(ARM);
+    let mut answer = None;
+    parser.feed(&gateway.answer(&link.poll_output(now).unwrap()), |received| answer = Some(received));
+    let Some(Received::Frame(frame)) = answer else { panic!("{answer:?}") };
+    let mut payload = frame.payload.to_vec();
+    payload[1] = 3;
+    let other = Frame { payload: Payload::from_slice(&payload).unwrap(), ..frame };
+    link.handle_bytes(now, &other.encode(), &mut driver);
+    let error = *link.hello_error().unwrap();
+    assert_eq!(
+        error,
+        HelloError::Unreadable(MessageError::Value { frame_type: 0x81, field: "set of messages", got: 3 })
+    );
+    assert_eq!(link.hello(), None);
 }
 
 /// A gateway without a watchdog, or with one longer than the specification allows, does not stop the arm in time.

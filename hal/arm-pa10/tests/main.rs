@@ -21,5 +21,5 @@ mod link_faults;
 mod no_allocation;
 mod old_measurements;
 mod real_time;
-mod unacknowledged_stop_by_gateway;
+mod unacknowledged_stop;
 mod virtual_time;

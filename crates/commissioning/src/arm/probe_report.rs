@@ -177,7 +177,7 @@ fn judge_stop(snapshot: &ArmSnapshot, report: &mut ProbeReport) {
     }
 }
 
-/// Detects a controller that answers, but not to cyclic commands.
+/// What the gateway states about itself that needs a warning or a refusal.
 fn judge_gateway(arm: &ArmSetup, hello: &HelloReply, report: &mut ProbeReport) {
     if hello.controller_watchdog_us == 0 {
         report.warn("the controller's watchdog is not set at the gateway: measure it on the rig");

@@ -73,7 +73,7 @@ impl SetupSettings {
     pub fn of(arm: &ArmSetup) -> Self {
         let range = arm.limits.operating();
         let ends = |joint| [range.position_min_rad()[joint], range.position_max_rad()[joint]].map(degrees);
-        let signals = arm.link.signals().map_or(StatusSignals::UNKNOWN, |(signals, _)| signals);
+        let signals = arm.link.signals().unwrap_or(StatusSignals::UNKNOWN);
         let settings = Self {
             signals: BTreeMap::new(),
             wire_format: arm.link.format().map(|format| format.to_string()).unwrap_or_default(),

@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use pb3dp_setup::load::{Checker, ConfigError, ConfigFile, FileKind, whole};
-use pb3dp_setup::names::{FormatName, GeometryName, sequence_modulus};
+use pb3dp_setup::names::{FormatName, GeometryName};
 use pb3dp_setup::setup::{SignalsSection, acceleration_max_rad_per_s2};
 
 /// Largest angles that a source states for the stops of a PA-10, to either side, degrees: those of the PA10-7CE (INRIA), and beyond them
@@ -320,6 +320,18 @@ fn in_millis(time: Duration) -> f64 {
 /// Milliseconds already checked to be between 0 and some minutes.
 fn millis(checked: f64) -> Duration {
     Duration::from_secs_f64(checked * 1e-3)
+}
+
+/// Number of messages after which sequence numbers wrap.
+fn sequence_modulus(key: &str, numbers: i64, check: &mut Checker) -> SequenceModulus {
+    match numbers {
+        128 => SequenceModulus::Modulo128,
+        256 => SequenceModulus::Modulo256,
+        _ => {
+            check.refuse(format!("{key} = {numbers}: allowed are 128 and 256"));
+            SequenceModulus::Modulo128
+        }
+    }
 }
 
 #[cfg(test)]

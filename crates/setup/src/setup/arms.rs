@@ -483,8 +483,8 @@ impl ArmSection {
         if link.is_some_and(|link| !matches!(link, ArmLink::InProcess)) {
             check_speeds((key, file), &chain, check);
         }
-        if let Some((geometry, table)) = link.and_then(ArmLink::geometry) {
-            check_geometry((key, table), geometry, &chain, check);
+        if let Some(geometry) = link.and_then(ArmLink::geometry) {
+            check_geometry(key, geometry, &chain, check);
         }
         Some(chain)
     }

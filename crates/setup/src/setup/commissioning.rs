@@ -41,9 +41,9 @@ impl ArmSetup {
     /// # Errors
     /// The keys of those that are not.
     pub fn check_signals(&self) -> Result<(), UnknownSignals> {
-        let Some((signals, table)) = self.link.signals() else { return Ok(()) };
+        let Some(signals) = self.link.signals() else { return Ok(()) };
         let keys: Vec<_> =
-            signals.unknown().map(|signal| format!("{}.{table}.signals.{}", self.key, signal.key())).collect();
+            signals.unknown().map(|signal| format!("{}.gateway.signals.{}", self.key, signal.key())).collect();
         if keys.is_empty() { Ok(()) } else { Err(UnknownSignals { keys }) }
     }
 }

@@ -13,7 +13,7 @@ const TOLERANCE_MM: [f64; 4] = [1.0, 5.0, 10.0, 5.0];
 const ROUNDING_MM: f64 = 1e-6;
 
 /// Refuses a robot description with other lengths than the geometry. An unknown geometry is not checked.
-pub(super) fn check_geometry((key, table): (&str, &str), geometry: Geometry, chain: &Chain, check: &mut Checker) {
+pub(super) fn check_geometry(key: &str, geometry: Geometry, chain: &Chain, check: &mut Checker) {
     let Some(expected_mm) = geometry.lengths_mm() else { return };
     let found_mm = lengths_mm(chain);
     let fits = |i: usize| (found_mm[i] - expected_mm[i]).abs() <= TOLERANCE_MM[i] + ROUNDING_MM;
@@ -22,7 +22,7 @@ pub(super) fn check_geometry((key, table): (&str, &str), geometry: Geometry, cha
     }
     let listed = |lengths: [f64; 4]| lengths.map(|mm| format!("{mm:.1}")).join(", ");
     check.refuse(format!(
-        "{key}.{table}.geometry = {:?}: such an arm has {} mm from base to shoulder, elbow, wrist and flange, {key}.robot has {} mm; \
+        "{key}.gateway.geometry = {:?}: such an arm has {} mm from base to shoulder, elbow, wrist and flange, {key}.robot has {} mm; \
          measure the arm, then correct the one that is wrong",
         geometry.to_string(),
         listed(expected_mm),

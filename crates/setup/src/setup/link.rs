@@ -145,19 +145,19 @@ impl ArmBackend {
 }
 
 impl ArmLink {
-    /// The arm number on the link, if there is one, and the table that states it.
-    pub fn number(&self) -> Option<(ArmId, &'static str)> {
+    /// The arm number on the link, if there is one.
+    pub fn number(&self) -> Option<ArmId> {
         match self {
             Self::InProcess => None,
-            Self::Gateway(link, _) => Some((link.arm, "gateway")),
+            Self::Gateway(link, _) => Some(link.arm),
         }
     }
 
-    /// How the signals of the arm are noticed, if it has a link, and the table that states it.
-    pub fn signals(&self) -> Option<(StatusSignals, &'static str)> {
+    /// How the signals of the arm are noticed, if it has a link.
+    pub fn signals(&self) -> Option<StatusSignals> {
         match self {
             Self::InProcess => None,
-            Self::Gateway(link, _) => Some((link.signals, "gateway")),
+            Self::Gateway(link, _) => Some(link.signals),
         }
     }
 
@@ -177,11 +177,11 @@ impl ArmLink {
         }
     }
 
-    /// The stated geometry of the arm, if it has a link, and the table that states it.
-    pub(super) fn geometry(&self) -> Option<(Geometry, &'static str)> {
+    /// The stated geometry of the arm, if it has a link.
+    pub(super) fn geometry(&self) -> Option<Geometry> {
         match self {
             Self::InProcess => None,
-            Self::Gateway(link, _) => Some((link.geometry, "gateway")),
+            Self::Gateway(link, _) => Some(link.geometry),
         }
     }
 }

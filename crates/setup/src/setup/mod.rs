@@ -323,11 +323,11 @@ fn read_tables(config: &ConfigFile, check: &mut Checker) -> Option<Setup> {
 
 /// Two arms with the same number: swapped cables of their gateways would not be detected.
 fn refuse_equal_numbers(Arms { vs, tc, .. }: &Arms, check: &mut Checker) {
-    if let (Some((number, vs_table)), Some((same, tc_table))) = (vs.link.number(), tc.link.number())
+    if let (Some(number), Some(same)) = (vs.link.number(), tc.link.number())
         && number == same
     {
         check.refuse(format!(
-            "{}.{tc_table}.arm = {}: {}.{vs_table}.arm is the same; give each arm a number of its own",
+            "{}.gateway.arm = {}: {}.gateway.arm is the same; give each arm a number of its own",
             tc.key, number.0, vs.key
         ));
     }

@@ -90,11 +90,6 @@ impl Signal {
     pub const fn may_be_absent(self) -> bool {
         matches!(self, Self::LimitSwitch | Self::DeadMan)
     }
-
-    /// Whether the signal counts only while brakes are open or about to open.
-    pub const fn needs_open_brakes(self) -> bool {
-        matches!(self, Self::DeadMan | Self::Power)
-    }
 }
 
 impl std::fmt::Display for Signal {

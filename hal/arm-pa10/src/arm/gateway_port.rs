@@ -44,7 +44,7 @@ pub(super) struct GatewayPort {
 pub(super) enum Greeted {
     /// No answer yet.
     Waiting,
-    /// It is the configured one, or one that cannot answer.
+    /// It is the configured one.
     Done,
     /// It is another one.
     Refused(HelloError),
@@ -118,7 +118,7 @@ impl GatewayPort {
         self.gone
     }
 
-    /// Identification of the gateway, if there is one.
+    /// Identification of the gateway, after its answer.
     pub fn hello(&self) -> Option<&HelloReply> {
         self.link.hello()
     }
@@ -143,7 +143,7 @@ impl GatewayPort {
         self.frames_unsent
     }
 
-    /// Greets the other side.
+    /// Greets the gateway.
     pub fn greet(&mut self, now: MonotonicTime) {
         self.found = None;
         self.greet_again(now);
@@ -240,7 +240,7 @@ impl GatewayPort {
         }
     }
 
-    /// Number of missing signs of life of a peer that sends them without a request, if there are too many.
+    /// Number of missing heartbeats of the gateway, if there are too many.
     pub fn silence(&self, now: MonotonicTime) -> Option<u32> {
         let silent = now.saturating_since(self.last_received);
         let expected = self.bytes.is_some() && self.link.hello().is_some();

@@ -100,12 +100,11 @@ enum Place {
     Virtual(Arc<VirtualTime>, Box<dyn VirtualFarEnd>),
 }
 
-/// Settings that all links share.
+/// Settings of both kinds of time.
 struct Start {
     name: String,
     arm: ArmId,
     driver: DriverConfig,
-    exchange_cycle: Duration,
     place: Place,
     target: String,
 }
@@ -127,7 +126,7 @@ impl Pa10Arm {
         let Pa10ArmConfig { name, driver, link, realtime } = config;
         check_cycles(&name, &driver, &link)?;
         let (target, place) = (connector.target(), Place::Thread(realtime));
-        let start = Start { name, arm: link.arm, driver, exchange_cycle: link.cycle, place, target };
+        let start = Start { name, arm: link.arm, driver, place, target };
         let open = move |tracer| GatewayPort::open(link, connector, Closer::start()?, tracer);
         Self::start(start, open, clock, seat)
     }
@@ -148,7 +147,7 @@ impl Pa10Arm {
         let clock: Arc<dyn Clock> = Arc::clone(time) as Arc<dyn Clock>;
         let connector = end.connector(Arc::clone(&clock));
         let (target, place) = (connector.target(), Place::Virtual(Arc::clone(time), end));
-        let start = Start { name, arm: link.arm, driver, exchange_cycle: link.cycle, place, target };
+        let start = Start { name, arm: link.arm, driver, place, target };
         let open = move |tracer| GatewayPort::open(link, connector, Closer::at_once(), tracer);
         Self::start(start, open, clock, seat)
     }
@@ -159,7 +158,7 @@ impl Pa10Arm {
         clock: Arc<dyn Clock>,
         seat: TripSeat,
     ) -> Result<Self, ArmOpenError> {
-        let Start { name, arm, driver: config, exchange_cycle, place, target } = start;
+        let Start { name, arm, driver: config, place, target } = start;
         let of_arm = || name.clone();
         let driver = Driver::new(config).map_err(|source| ArmOpenError::Config { arm: of_arm(), source })?;
         let shared = Arc::new(Shared::new());
@@ -190,7 +189,7 @@ impl Pa10Arm {
                 Work::Virtual(time)
             }
         };
-        let info = ArmInfo { name: format!("{name} (pa10 at {target})"), cycle: exchange_cycle };
+        let info = ArmInfo { name: format!("{name} (pa10 at {target})"), cycle: config.cycle };
         let name = Arc::from(info.name.as_str());
         let mut opened = Self { driver: config, info, name, clock, shared, trip, ends, work, warnings, enabling: None };
         opened.fulfil(PowerRequest::Connect).map_err(|source| ArmOpenError::Connect { arm: of_arm(), source })?;

@@ -8,7 +8,7 @@ use super::requests::Refusal;
 
 codes! {
     FaultCause, "A fault stopped a PA-10" {
-        LinkLost = "PB3DP-ARM-101": "Several exchanges in a row had no usable reply."; "If the arm moves, press its emergency stop. Check cable and power, and that no other program uses the line or the bus. Then reset.";
+        LinkLost = "PB3DP-ARM-101": "Several exchanges in a row had no usable reply."; "If the arm moves, press its emergency stop. Check cable and power, and that no other program uses the line. Then reset.";
         MeasurementTooOld = "PB3DP-ARM-102": "The gateway answers, but its newest measurement is too old: the servo controller does not answer it."; "Look at the gateway's log and at the servo controller. Then reset.";
         Unplugged = "PB3DP-ARM-104": "The link was unplugged or closed."; "Connect it again. Then reset.";
         WrongArm = "PB3DP-ARM-105": "A frame of another arm came through this link."; "Correct the number of the arm, or swap the links of the two arms. Then reset.";

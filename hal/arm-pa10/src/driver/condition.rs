@@ -1,4 +1,4 @@
-//! State of the arm in a reply: measurements, alarms, and the causes of stops. The same for both kinds of links.
+//! State of the arm in a reply: measurements, alarms, and the causes of stops. The same for driver and gateway.
 
 use std::time::Duration;
 
@@ -73,7 +73,7 @@ pub enum FaultCause {
     /// Too many exchanges in a row without a usable reply.
     #[error(
         "{misses} exchanges in a row without a usable reply; the arm may still be moving: if it moves, press its emergency stop; check \
-         cable and power, and that no other program uses the line or the bus, then reset"
+         cable and power, and that no other program uses the line, then reset"
     )]
     LinkLost {
         /// Number of exchanges.

@@ -29,7 +29,7 @@ const TORQUE_FOR_MAX: Duration = Duration::from_millis(200);
 /// Settings of a driver: its arm and its link.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DriverConfig {
-    /// Time between two cyclic commands: 10 ms to a gateway, 2 ms on the bus.
+    /// Time between two cyclic commands: 10 ms.
     pub cycle: Duration,
     /// Time-out of the reply to a cyclic command: at most one cycle.
     pub reply_timeout: Duration,

@@ -162,12 +162,13 @@ impl LinkMonitor {
     pub fn too_many_bad(&self) -> Option<u32> {
         Some(self.recent.count()).filter(|bad| *bad > BAD_TOLERATED)
     }
+
     pub fn forget_misses(&mut self) {
         self.misses = 0;
         self.recent.clear();
     }
 
-    pub fn begin_warm_up(&self, allowed: Duration) -> WarmUp {
+    pub fn new_warm_up(&self, allowed: Duration) -> WarmUp {
         WarmUp { exchanges: 0, slow: 0, bad_before: self.bad(), allowed, worst: Duration::ZERO }
     }
 

@@ -1,8 +1,8 @@
 //! The host's side of one arm as a state machine that receives the time and does no I/O.
 //!
 //! The owner of the link polls [`Driver::poll_transmit`] for the due message, passes replies to [`Driver::handle_reply`], reports
-//! damage and time, and forwards the requests of the operator and the control loop ([`Request`]). The link
-//! encodes the messages, which are those of the codec, into frames for the gateway, and checks that a reply answers the message before it.
+//! damage and time, and forwards the requests of the operator and the control loop ([`Request`]). The link encodes the messages, which
+//! are those of the codec, into frames for the gateway. It checks that a reply answers the message before it.
 //!
 //! Guarantees:
 //! * A request that the state does not allow is refused by name and sends nothing ([`table`] lists all requests).

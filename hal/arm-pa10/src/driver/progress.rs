@@ -85,7 +85,7 @@ impl Driver {
             }
             State::Looking { since, latch, .. } => State::Looking { since, step: LookStep::Look, latch },
             State::Enabling { since, step: EnableStep::Start | EnableStep::StartSent } => {
-                State::Enabling { since, step: EnableStep::WarmUp(self.link.begin_warm_up(self.stops_after / 2)) }
+                State::Enabling { since, step: EnableStep::WarmUp(self.link.new_warm_up(self.stops_after / 2)) }
             }
             State::Ending { step: EndStep::End { .. }, .. } => return self.complete(now, Event::Stopped),
             other => other,

@@ -1,4 +1,4 @@
-//! Measurements of the arm in the replies of both kinds of links.
+//! Measurements of the arm in the replies of the controller and of the gateway.
 
 use std::time::Duration;
 

@@ -171,7 +171,7 @@ impl State {
         }
     }
 
-    /// The activity and its begin, if there is one.
+    /// The activity, and the time at which it began, if there is one.
     pub fn activity(&self) -> Option<(Activity, MonotonicTime)> {
         match *self {
             Self::Looking { since, latch: None, .. } => Some((Activity::Connecting, since)),

@@ -7,8 +7,8 @@ use pb3dp_arm_pa10_protocol::codec::{
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmOperation, BRAKE_TIME_MAX, Control, DelayMeter, DriveCommand, DriveMode, FaultReport, Frame, FrameBytes,
-    FrameParser, GatewayMessage, GatewayState, Geometry, Hello, HelloReply, Holder, HostMessage, ParserCounters,
-    Received, Reject, RejectReason, StopCause, WiderLimit,
+    FrameParser, GatewayMessage, GatewayState, Geometry, Hello, HelloReply, Holder, HostMessage, MessageError,
+    ParserCounters, Received, Reject, RejectReason, StopCause, WiderLimit,
 };
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_geometry::MonotonicTime;
@@ -36,8 +36,11 @@ pub enum HeldError {
 }
 
 /// Why a gateway is refused.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum HelloError {
+    /// Its answer means nothing to this program.
+    #[error("the answer of the gateway to HELLO cannot be read")]
+    Unreadable(#[source] MessageError),
     /// It has detected another wire format.
     #[error(
         "the arm at the gateway answers in {got}, the configuration says {configured}; find out which generation the arm is"
@@ -311,6 +314,9 @@ impl GatewayLink {
         };
         let late = self.delay.handle(frame.timestamp_us, now.as_nanos() / 1000);
         match GatewayMessage::decode(frame) {
+            Err(error) if self.waiting == Waiting::Hello && frame.sequence == self.asked => {
+                self.hello_error = Some(HelloError::Unreadable(error));
+            }
             Err(_) => driver.handle_bad_reply(BadReply::Damaged),
             Ok(GatewayMessage::Fault(report)) => driver.handle_trip(now, trip(&report, &self.config)),
             Ok(GatewayMessage::Health(_)) if self.heartbeat.take_if(|asked| *asked == frame.sequence).is_some() => {}

@@ -12,7 +12,7 @@ use pb3dp_cell::terminal::print_line;
 use pb3dp_hal_api::{ArmPower, Clock};
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_platform::signals::StopSignals;
-use pb3dp_setup::setup::{ArmLink, Setup, read_layers};
+use pb3dp_setup::setup::{Setup, read_layers};
 use pb3dp_wiring::commissioning::{ObservedArm, see};
 
 use super::OperatorName;
@@ -61,7 +61,7 @@ pub fn run(args: &SignalsArgs) -> Result<ExitCode> {
     let stop = StopSignals::take_over()?;
     let (choice, mut setup) = (args.place.choice(), read_layers(&args.place.setup)?);
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
-    let (stated, _) = choice.of(&setup).link.signals().context("an arm with backend = \"mock\" has no status words")?;
+    let stated = choice.of(&setup).link.signals().context("an arm with backend = \"mock\" has no status words")?;
     // What is known must not stop the arm while its switches are actuated.
     choice.of_mut(&mut setup).link.forget_signals();
     let wanted = (args.operator, args.patience, &[choice][..]);
@@ -137,11 +137,9 @@ impl Bench {
         }
         if observed.during.is_empty() {
             self.refuse_stop_of_format_a(&opened_arm)?;
-            // A gateway keeps the words of the stop for the next connection; a bus has shown them.
-            if matches!(self.choice.of(&self.setup).link, ArmLink::Gateway(..)) {
-                drop(opened_arm);
-                opened_arm = self.see()?;
-            }
+            // The gateway keeps the words of the stop for the next connection.
+            drop(opened_arm);
+            opened_arm = self.see()?;
             let snapshot = opened_arm.arm.monitor().snapshot();
             let at_stop =
                 snapshot.shown.or(snapshot.sample).context("the gateway shows no status words of the stop")?;
@@ -182,15 +180,12 @@ impl Bench {
     /// Prints and records the result.
     fn finish(&mut self, signals: &StatusSignals) -> Result<()> {
         let arm = self.choice.of(&self.setup);
-        let table = arm.link.signals().map_or("gateway", |(_, table)| table);
         let lines: Vec<_> =
             Signal::ALL.iter().map(|signal| format!("{} = \"{}\"", signal.key(), signals.get(*signal))).collect();
         let lines = lines.join("\n");
-        print_line(&format!("\nfor the setup:\n\n[{}.{table}.signals]\n{lines}", arm.key))?;
-        if table == "gateway" {
-            print_line(&format!("\nfor the file of the gateway:\n\n[arm.signals]\n{lines}"))?;
-        }
-        let Some(path) = arm.commissioning_record.as_ref().filter(|_| !arm.link.is_toy() && table == "gateway") else {
+        print_line(&format!("\nfor the setup:\n\n[{}.gateway.signals]\n{lines}", arm.key))?;
+        print_line(&format!("\nfor the file of the gateway:\n\n[arm.signals]\n{lines}"))?;
+        let Some(path) = arm.commissioning_record.as_ref().filter(|_| !arm.link.is_toy()) else {
             return Ok(());
         };
         let snapshot = self.see()?.arm.monitor().snapshot();

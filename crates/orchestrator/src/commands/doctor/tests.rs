@@ -144,7 +144,7 @@ impl System for Fake {
     }
 }
 
-/// What a rig with one arm at a serial port and one on a bus needs.
+/// What a rig with one arm at a serial port, and the gateway of the other one, needs.
 fn rig() -> Needs {
     Needs {
         source: "cell.toml (pb3dp run)".to_owned(),
