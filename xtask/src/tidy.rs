@@ -7,6 +7,7 @@ mod layout;
 mod links;
 mod markdown;
 mod method_table;
+mod named_items;
 mod plain_words;
 mod routes;
 mod rust;
@@ -45,6 +46,7 @@ pub fn run(workspace: &Workspace, _: &Args) -> anyhow::Result<()> {
     violations.extend(dependencies::check(&texts));
     violations.extend(method_table::check(&texts));
     violations.extend(summary::check(&texts));
+    violations.extend(named_items::check(&texts));
     violations.extend(routes::check(&texts));
     violations.extend(test_files::check(&texts));
     violations.extend(plain_words::check(workspace, &texts)?);
