@@ -9,14 +9,14 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use pb3dp_arm_pa10::arm::{Pa10Arm, Pa10ArmConfig, RawBytes, TripSeat, VirtualTime, virtual_trip_line};
-use pb3dp_arm_pa10::driver::{DriverConfig, DriverState, FaultCause, LimitsCheck, Trip};
+use pb3dp_arm_pa10::driver::{DriverConfig, FaultCause, LimitsCheck, Trip};
 use pb3dp_arm_pa10_emulation::far_end::FarEnd;
 use pb3dp_arm_pa10_emulation::line::virtual_end::{Tampering, Towards, VirtualEnd};
 use pb3dp_arm_pa10_emulation::mock_controller::{MockController, MockControllerConfig};
 use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig};
 use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmId, Firmware, GatewayState, Geometry, HostLimits, MotionLimits, SharedKey,
+    ArmId, Firmware, Geometry, HostLimits, MotionLimits, SharedKey, StopCause,
 };
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_test_support::plant_config::plant_config;
@@ -156,6 +156,11 @@ impl Cell {
     }
 }
 
+/// Why the gateway has stopped its arm.
+fn stopped_by_gateway(end: &VirtualEnd) -> StopCause {
+    end.look(|far| far.gateway.as_ref().unwrap().status().cause)
+}
+
 #[test]
 fn arms_of_a_cell_stop_each_other_within_a_cycle() {
     let mut cell = moving();
@@ -169,6 +174,14 @@ fn arms_of_a_cell_stop_each_other_within_a_cycle() {
     assert_eq!(cell.trip(1), Trip::Fault(FaultCause::OtherArm { arm: 1 }));
     pass(&cell.time, 500);
     assert!(cell.ends.iter().all(|end| speed(end) == 0.0 && end.look(|far| far.controller.is_braked())));
+    // Each is reset by itself, and the one whose emergency stop is pressed only after its release.
+    cell.arms[1].reset().unwrap();
+    cell.arms[0].reset().unwrap_err();
+    cell.ends[0].command_line("e-stop release").unwrap();
+    cell.arms[0].reset().unwrap();
+    cell.arms.iter_mut().for_each(|arm| arm.enable().unwrap());
+    cell.move_for(300);
+    assert!(cell.ends.iter().all(|end| speed(end) > 0.5));
 }
 
 /// An error with its sources, as the program prints it.
@@ -193,7 +206,9 @@ fn a_cable_that_was_pulled_stops_the_arm_and_comes_back_by_a_reset() {
     cell.move_for(100);
     let error = cell.arms[1].exchange(velocity()).unwrap_err();
     assert_eq!(error.kind(), ArmErrorKind::Disconnected, "{error}");
+    assert_eq!(cell.trip(1), Trip::Fault(FaultCause::Unplugged));
     pass(&cell.time, 500);
+    assert_eq!(stopped_by_gateway(&cell.ends[1]), StopCause::HostSilent);
     assert!(cell.ends.iter().all(|end| speed(end) == 0.0));
     let refused = whole(&cell.arms[1].reset().unwrap_err());
     assert_eq!(refused.matches("cannot be opened").count(), 1, "{refused}");
@@ -251,9 +266,12 @@ fn a_new_program_finds_the_arms_of_a_dead_one_latched_and_the_dead_one_never_com
 fn a_host_that_commands_nothing_more_is_noticed() {
     let cell = moving();
     pass(&cell.time, 60);
-    assert!(cell.arms.iter().all(|arm| arm.monitor().snapshot().state == DriverState::Fault));
+    assert!(matches!(cell.trip(0), Trip::Fault(FaultCause::CommandTimeout { .. })), "{:?}", cell.trip(0));
+    assert!(cell.arms.iter().all(|arm| arm.state() == ArmState::Fault));
     pass(&cell.time, 500);
     assert!(cell.ends.iter().all(|end| speed(end) == 0.0));
+    // The gateway keeps the report for the next host.
+    assert!(cell.ends.iter().all(|end| stopped_by_gateway(end) == StopCause::HostFault));
 }
 
 #[test]
@@ -263,8 +281,8 @@ fn who_lets_go_of_a_moving_arm_has_it_stopped() {
     drop(arms);
     assert!(time.is_empty());
     for end in &ends {
-        assert!(end.look(|far| far.gateway.as_ref().unwrap().status().state) != GatewayState::Moving);
-        assert!(speed(end) < 1e-3);
+        assert_eq!(stopped_by_gateway(end), StopCause::HostFault);
+        assert!(speed(end) < 1e-3 && end.look(|far| far.controller.is_braked()));
     }
 }
 
