@@ -34,6 +34,23 @@ pub enum LocalSocketError {
         /// Path of the socket.
         path: PathBuf,
     },
+    /// The folder of the socket is missing.
+    #[error(
+        "socket {}: its folder {} does not exist: make it, `sudo install -d -m 755 -o USER {}` with the user of the gateway; the service \
+         makes /run/pb3dp", path.display(), folder.display(), folder.display()
+    )]
+    NoFolder {
+        /// Path of the socket.
+        path: PathBuf,
+        /// Its folder.
+        folder: PathBuf,
+    },
+    /// The system does not let this user connect.
+    #[error("socket {}: this user may not open it: run both programs as the same user", path.display())]
+    NotPermitted {
+        /// Path of the socket.
+        path: PathBuf,
+    },
     /// Another program listens.
     #[error("another program listens at the socket {}; end it, or choose another path", path.display())]
     InUse {
@@ -66,7 +83,7 @@ pub enum LocalSocketError {
         user: u32,
     },
     /// Another error of the operating system.
-    #[error("socket {}: {source}", path.display())]
+    #[error("socket {}", path.display())]
     System {
         /// Path of the socket.
         path: PathBuf,
@@ -92,6 +109,7 @@ impl LocalConfig {
         let path = || self.path.clone();
         let stream = UnixStream::connect(&self.path).map_err(|source| match source.kind() {
             ErrorKind::NotFound | ErrorKind::ConnectionRefused => LocalSocketError::Nobody { path: path() },
+            ErrorKind::PermissionDenied => LocalSocketError::NotPermitted { path: path() },
             _ => LocalSocketError::System { path: path(), source },
         })?;
         check_user(&stream, &self.path)?;
@@ -174,7 +192,10 @@ fn is_socket(path: &Path) -> bool {
 
 fn check_folder(path: &Path) -> Result<(), LocalSocketError> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let found = metadata(folder).map_err(|source| LocalSocketError::System { path: path.to_owned(), source })?;
+    let found = metadata(folder).map_err(|source| match source.kind() {
+        ErrorKind::NotFound => LocalSocketError::NoFolder { path: path.to_owned(), folder: folder.to_owned() },
+        _ => LocalSocketError::System { path: path.to_owned(), source },
+    })?;
     let (mode, owner, user) = (found.mode() & 0o7777, found.uid(), geteuid().as_raw());
     if mode & WRITABLE_BY_OTHERS != 0 || !is_trusted(owner) {
         return Err(LocalSocketError::Folder { path: path.to_owned(), mode, owner, user });
@@ -205,6 +226,15 @@ mod tests {
 
     use super::*;
     use crate::transport::{Symptom, wait};
+
+    #[test]
+    fn a_folder_that_is_missing_is_named_with_its_remedy() {
+        let folder = tempfile::tempdir().unwrap();
+        let missing = folder.path().join("run");
+        let error = LocalListener::bind(&missing.join("arm1.sock")).err().unwrap();
+        assert!(matches!(&error, LocalSocketError::NoFolder { folder, .. } if *folder == missing), "{error}");
+        assert!(error.to_string().contains(&format!("-o USER {}", missing.display())), "{error}");
+    }
 
     #[test]
     fn two_programs_exchange_bytes_and_learn_of_the_end() {
