@@ -167,11 +167,13 @@ impl ConfigFile {
 
 /// Keys of earlier versions, by their ends, and what to do instead.
 const REMOVED: [(&str, &str); 3] = [("gateway.certificate", NO_TLS), ("access.tls", NO_TLS), (".bus", NO_BUS)];
+
 const NO_TLS: &str = "the key file alone protects the link to a gateway; remove this one, and where joint angles must be secret, run the \
                       link through an encrypted tunnel (docs/gateway.md)";
 
 const NO_BUS: &str = "the gateway is the only program on the bus of an arm: run `pb3dp gateway` on this computer, then write backend = \"local\" \
                       and the table gateway here; docs/gateway.md has the new place of each key of bus";
+
 /// The same for a word.
 const REMOVED_WORDS: [(&str, &str, &str); 2] = [
     (".backend", "arcnet", NO_BUS),

@@ -205,31 +205,11 @@ fn the_documentation_says_what_the_parser_reads() {
     assert!(read > 30, "{read}");
 }
 
-/// docs/mock-arm.md: the named tests exist.
+/// docs/mock-arm.md; that its tests exist, `cargo xtask tidy` checks (rule `named-item`).
 #[test]
-fn the_documentation_names_tests_that_exist() {
+fn the_documentation_names_a_test_of_each_fault_of_the_requirements() {
     let page = include_str!("../../../docs/mock-arm.md");
     let table = page.split("## The test set").nth(1).unwrap().split("\n## ").next().unwrap();
-    let hal = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
-    let mut found = 0;
-    for (file, test) in table.split('`').skip(1).step_by(2).filter_map(|quoted| quoted.split_once("::")) {
-        let folders = [
-            "arm-pa10/tests",
-            "arm-pa10/tests/real_time",
-            "arm-pa10/tests/alone",
-            "arm-pa10-emulation/tests",
-            "arm-pa10-emulation/tests/real_time",
-            "arm-pa10-gateway/tests",
-            "arm-pa10-gateway/tests/real_time",
-            "middleware/tests",
-        ];
-        let paths = folders.map(|folder| hal.join(folder).join(format!("{file}.rs")));
-        let text: String = paths.iter().filter_map(|path| std::fs::read_to_string(path).ok()).collect();
-        assert!(text.contains(&format!("#[test]\nfn {test}()")), "{file}::{test}");
-        found += 1;
-    }
-    assert!(found > 30, "{found}");
-    // The list contains each fault of the requirements.
     for fault in [
         "drop",
         "delay",
