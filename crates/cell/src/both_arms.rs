@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result};
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_hal_api::{ArmErrorKind, ArmState, EnablePosition, JointCommand, JointState, PowerOrder};
+use pb3dp_hal_api::{ArmError, ArmErrorKind, ArmState, EnablePosition, JointCommand, JointState, PowerOrder};
 use pb3dp_kinematics::JointVector;
 use pb3dp_servo::supervisor::{ArmCondition, ArmInput};
 use pb3dp_setup::setup::Setup;
@@ -22,13 +22,23 @@ pub struct CellArm {
     replies_missed: u64,
     /// Enabling is in progress.
     is_enabling: bool,
+    /// A person was asked to press the emergency stop, and no reset has come since.
+    is_emergency_reported: bool,
 }
 
 impl CellArm {
     /// An arm that is not enabled yet; until its first measurement it counts as stationary at `start_rad`.
     fn new(name: &'static str, arm: Box<dyn ArmControl>, start_rad: JointVector, now: MonotonicTime) -> Self {
         let joints = JointState { at: now, position_rad: start_rad, velocity_rad_per_s: JointVector::zeros() };
-        Self { name, arm, joints, requested: JointCommand::Hold, replies_missed: 0, is_enabling: false }
+        Self {
+            name,
+            arm,
+            joints,
+            requested: JointCommand::Hold,
+            replies_missed: 0,
+            is_enabling: false,
+            is_emergency_reported: false,
+        }
     }
 
     /// Last measured joint state.
@@ -68,7 +78,7 @@ impl CellArm {
     /// The arm's name and the cause of the failure.
     pub fn exchange(&mut self, command: JointCommand) -> Result<Option<JointState>> {
         self.requested = command;
-        match self.arm.exchange(command) {
+        match self.ask(command) {
             Ok(joints) => {
                 self.joints = joints;
                 Ok(Some(joints))
@@ -79,6 +89,13 @@ impl CellArm {
             }
             Err(error) => Err(error).context(self.name),
         }
+    }
+
+    /// One exchange. Reports once until a reset that commands possibly do not reach the arm.
+    fn ask(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
+        let answer = self.arm.exchange(command);
+        self.is_emergency_reported = self.is_emergency_reported || report_if_out_of_reach(self.name, &answer);
+        answer
     }
 
     fn is_on(&self) -> bool {
@@ -127,7 +144,12 @@ impl CellArm {
     }
 
     fn reset(&mut self) -> Result<()> {
-        if self.is_latched() { self.arm.reset().with_context(|| format!("{}: reset", self.name)) } else { Ok(()) }
+        if !self.is_latched() {
+            return Ok(());
+        }
+        self.arm.reset().with_context(|| format!("{}: reset", self.name))?;
+        self.is_emergency_reported = false;
+        Ok(())
     }
 
     fn stop(&mut self) -> Result<()> {
@@ -254,7 +276,7 @@ impl BothArms {
                 ArmState::Fault | ArmState::EStop => JointCommand::Velocity(JointVector::zeros()),
                 ArmState::Enabled | ArmState::Disabled => JointCommand::Hold,
             };
-            led.arm.exchange(rest).context(led.name)?;
+            led.ask(rest).context(led.name)?;
         }
         Ok(())
     }
@@ -280,6 +302,16 @@ impl BothArms {
     }
 }
 
+/// Tells a person what to do if commands possibly do not reach an arm with open brakes; returns whether that is so. Call it at once: a stop
+/// order takes time.
+pub fn report_if_out_of_reach(arm: &str, answer: &Result<JointState, ArmError>) -> bool {
+    let is_out_of_reach = answer.as_ref().is_err_and(ArmError::may_still_move);
+    if is_out_of_reach {
+        tracing::error!("EMERGENCY STOP: press it at {arm} if it moves: commands may not reach this arm");
+    }
+    is_out_of_reach
+}
+
 /// A failure of an arm for a person. The failure begins with the name of the arm, which most causes repeat.
 pub fn error_text(failure: &anyhow::Error) -> String {
     let whole = format!("{failure:#}");
@@ -297,7 +329,7 @@ mod tests {
     use pb3dp_arm_pa10_emulation::mock::{MockArm, MockArmConfig, MockArmFaults};
     use std::task::Poll;
 
-    use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, Clock};
+    use pb3dp_hal_api::{Arm, ArmInfo, ArmPower, Clock};
     use pb3dp_hal_clock::VirtualClock;
     use pb3dp_hal_middleware::{Limiter, LimiterStatistics, couple};
     use pb3dp_setup::setup::{ArmSetup, read_setup};

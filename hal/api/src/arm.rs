@@ -61,6 +61,7 @@ pub struct ArmError {
     message: Message,
     joint: Option<usize>,
     code: Option<u16>,
+    may_still_move: bool,
     #[source]
     source: Option<Box<dyn std::error::Error + Send + Sync>>,
 }
@@ -86,14 +87,17 @@ impl std::fmt::Display for Message {
 impl ArmError {
     /// An error without an underlying cause.
     pub fn new(kind: ArmErrorKind, message: impl Into<String>) -> Self {
-        Self { kind, message: Message::Text(message.into()), joint: None, code: None, source: None }
+        Self::of(kind, Message::Text(message.into()), None)
+    }
+
+    fn of(kind: ArmErrorKind, message: Message, source: Option<Box<dyn std::error::Error + Send + Sync>>) -> Self {
+        Self { kind, message, joint: None, code: None, may_still_move: kind == ArmErrorKind::Disconnected, source }
     }
 
     /// A `Timeout`: the newest measurement has this age, although one is expected in every cycle. This error is common on a bad
     /// line, and is created without heap allocation.
     pub fn late(arm: Arc<str>, age: Duration, cycle: Duration) -> Self {
-        let message = Message::Late { arm, age, cycle };
-        Self { kind: ArmErrorKind::Timeout, message, joint: None, code: None, source: None }
+        Self::of(ArmErrorKind::Timeout, Message::Late { arm, age, cycle }, None)
     }
 
     /// An error with its underlying cause.
@@ -102,7 +106,7 @@ impl ArmError {
         message: impl Into<String>,
         source: impl Into<Box<dyn std::error::Error + Send + Sync>>,
     ) -> Self {
-        Self { kind, message: Message::Text(message.into()), joint: None, code: None, source: Some(source.into()) }
+        Self::of(kind, Message::Text(message.into()), Some(source.into()))
     }
 
     /// The same error for this joint, counted from the base, 0 to 6.
@@ -115,6 +119,17 @@ impl ArmError {
     #[must_use]
     pub fn with_code(self, code: u16) -> Self {
         Self { code: Some(code), ..self }
+    }
+
+    /// The same error of an arm that possibly receives no command any more.
+    #[must_use]
+    pub fn out_of_reach(self) -> Self {
+        Self { may_still_move: true, ..self }
+    }
+
+    /// Whether commands possibly do not reach the arm, which may still move: a person has to look, and to press its emergency stop.
+    pub fn may_still_move(&self) -> bool {
+        self.may_still_move
     }
 
     /// The kind: policies decide by it.

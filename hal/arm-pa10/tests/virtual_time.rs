@@ -207,6 +207,10 @@ fn a_cable_that_was_pulled_stops_the_arm_and_comes_back_by_a_reset() {
     let error = cell.arms[1].exchange(velocity()).unwrap_err();
     assert_eq!(error.kind(), ArmErrorKind::Disconnected, "{error}");
     assert_eq!(cell.trip(1), Trip::Fault(FaultCause::Unplugged));
+    // Nobody hears the order, and its owner has another arm to stop.
+    let before = cell.time.now();
+    assert_eq!(cell.arms[1].stop().unwrap_err().kind(), ArmErrorKind::Disconnected);
+    assert!(cell.time.now().saturating_since(before) < CYCLE, "{:?}", cell.time.now().saturating_since(before));
     pass(&cell.time, 500);
     assert_eq!(stopped_by_gateway(&cell.ends[1]), StopCause::HostSilent);
     assert!(cell.ends.iter().all(|end| speed(end) == 0.0));

@@ -91,7 +91,7 @@ pub type ConnectError = Box<dyn std::error::Error + Send + Sync>;
 /// The link is lost: unplugged, closed by the other side, or broken. The symptom is for the log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "the link is gone ({symptom}); if the arm moves, press its emergency stop; connect it again, then reset the arm"
+    "if the arm moves, press its emergency stop: the link is gone ({symptom}); connect it again, then reset the arm"
 )]
 pub struct Unplugged {
     /// The symptom.

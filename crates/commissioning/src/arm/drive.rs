@@ -6,6 +6,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use pb3dp_arm_pa10_protocol::codec::Axis;
 use pb3dp_cell::attended_motion::AttendedMotion;
+use pb3dp_cell::both_arms::report_if_out_of_reach;
 use pb3dp_cell::parts::{ArmChoice, ArmControl};
 use pb3dp_cell::plan::Plan;
 use pb3dp_geometry::MonotonicTime;
@@ -171,14 +172,16 @@ impl<'a> Drive<'a> {
     /// One exchange with each arm that is connected; `None` if this one's reply is late.
     fn exchange(&mut self, command: JointCommand) -> Result<Option<JointState>> {
         if let Some(other) = &mut self.arm.other {
-            measured(other.driven.exchange(JointCommand::Hold), &mut self.lost)?;
+            measured(&mut *other.driven, JointCommand::Hold, &mut self.lost)?;
         }
-        Ok(measured(self.arm.driven.exchange(command), &mut self.lost)?)
+        Ok(measured(&mut *self.arm.driven, command, &mut self.lost)?)
     }
 }
 
 /// Returns the measurement; `None` for a late reply, which the arm counts and tolerates twice in a row.
-fn measured(exchanged: Result<JointState, ArmError>, lost: &mut u64) -> Result<Option<JointState>, ArmError> {
+fn measured(arm: &mut dyn ArmControl, command: JointCommand, lost: &mut u64) -> Result<Option<JointState>, ArmError> {
+    let exchanged = arm.exchange(command);
+    report_if_out_of_reach(&arm.info().name, &exchanged);
     match exchanged {
         Err(error) if error.kind() == ArmErrorKind::Timeout => {
             *lost += 1;

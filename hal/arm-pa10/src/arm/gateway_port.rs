@@ -194,6 +194,8 @@ impl GatewayPort {
                     self.tracer.record(now, Direction::In, &buffer[..count]);
                     self.link.handle_bytes(now, &buffer[..count], driver);
                 }
+                // A gateway that refuses the host says why, then closes the connection: its reason is the answer.
+                Err(gone) if self.link.hello_error().is_some() => return self.lose(gone).or(Ok(())),
                 Err(gone) => return self.lose(gone),
             }
         }
@@ -257,5 +259,75 @@ impl GatewayPort {
     /// Waits for input, for output space if something is pending, for the waker, or for this time.
     pub fn wait(&self, waker: Option<BorrowedFd<'_>>, timeout: Duration) {
         wait(self.bytes.as_deref(), !self.pending.is_empty(), waker, timeout);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "a test may fail")]
+
+    use std::collections::VecDeque;
+
+    use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
+    use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, GatewayMessage, Geometry, Holder, HostLimits};
+    use pb3dp_hal_platform::transport::Symptom;
+
+    use super::super::trace::Trace;
+    use super::*;
+    use crate::driver::DriverConfig;
+    use crate::link::HeldError;
+
+    /// Answers once, and has ended then.
+    struct Answer(VecDeque<Vec<u8>>);
+
+    impl ByteLink for Answer {
+        fn name(&self) -> &str {
+            "answer"
+        }
+        fn try_read(&mut self, buffer: &mut [u8]) -> Result<usize, Unplugged> {
+            let bytes = self.0.pop_front().ok_or(Unplugged { symptom: Symptom::EndOfStream })?;
+            buffer[..bytes.len()].copy_from_slice(&bytes);
+            Ok(bytes.len())
+        }
+        fn try_write(&mut self, bytes: &[u8]) -> Result<usize, Unplugged> {
+            Ok(bytes.len())
+        }
+        fn fd(&self) -> Option<BorrowedFd<'_>> {
+            None
+        }
+    }
+
+    impl Connector for Answer {
+        fn connect(&mut self) -> Result<Box<dyn ByteLink>, ConnectError> {
+            Ok(Box::new(Self(std::mem::take(&mut self.0))))
+        }
+        fn target(&self) -> String {
+            "answer".to_owned()
+        }
+    }
+
+    /// A gateway closes the connection of a host that it refuses.
+    #[test]
+    fn what_a_gateway_says_before_it_closes_is_the_answer() {
+        let (arm, now) = (ArmId(3), MonotonicTime::from_nanos(1_000_000));
+        let holder = Holder { address: std::net::Ipv4Addr::LOCALHOST.into(), port: 0 };
+        let held = GatewayMessage::Held(holder).frame(arm, 0, 0).encode();
+        let link = GatewayLinkConfig {
+            arm,
+            format: WireFormat::BigEndian6x10,
+            geometry: Geometry::Unknown,
+            cycle: Duration::from_millis(10),
+            limits: HostLimits::WIDEST,
+            signals: StatusSignals::ORCA,
+        };
+        let mut driver = Driver::new(DriverConfig::with_cycle(link.cycle)).unwrap();
+        let answer = Box::new(Answer(VecDeque::from([held.to_vec()])));
+        let mut port = GatewayPort::open(link, answer, Closer::at_once(), Tracer::new(Trace::new())).unwrap();
+        port.greet(now);
+        port.flush(now).unwrap();
+        port.receive(now, &mut driver).unwrap();
+        let refused = port.greeted(now);
+        assert!(matches!(refused, Greeted::Refused(HelloError::Held(HeldError::Held(found))) if found == holder));
+        assert!(port.gone().is_some());
     }
 }

@@ -371,9 +371,10 @@ fn spawn(name: &str, worker: Worker, realtime: Realtime) -> Result<(JoinHandle<(
     Ok((thread, shortfalls.recv_timeout(OPEN_MAX).unwrap_or_default()))
 }
 
-/// Adds joint and alarm code of the cause of the stop to an error.
+/// Adds to an error what the cause of the stop says: joint, alarm code, and whether commands may not reach the arm.
 fn about(error: ArmError, trip: Option<Trip>) -> ArmError {
     let (axis, code) = (trip.and_then(|trip| trip.axis()), trip.and_then(|trip| trip.code()));
+    let error = if trip.is_some_and(|trip| trip.may_still_move()) { error.out_of_reach() } else { error };
     let error = if let Some(axis) = axis { error.of_joint(axis.index()) } else { error };
     if let Some(code) = code { error.with_code(u16::from(code)) } else { error }
 }

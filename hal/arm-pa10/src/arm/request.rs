@@ -38,8 +38,8 @@ pub enum RequestError {
     WarmUp(WarmUpFailure),
     /// The gateway does not answer.
     #[error(
-        "no gateway answers within 0.5 s; check its power, the cable, the rate and the number of the arm, and that no other \
-         program uses the line"
+        "no gateway answers within 0.5 s; check the number of the arm (`gateway.arm`, `arm.number` in the gateway's file) and the log of \
+         the gateway; on a serial line also its power, the cable and the rate, and that no other program uses the line"
     )]
     NoGateway,
     /// The gateway is not the configured one.
@@ -207,11 +207,9 @@ impl Running {
             context.driver.handle_request(now, Request::Stop)?;
             self.stage = Stage::Asked;
         }
-        if context.driver.activity() != Activity::None {
-            return Ok(None);
-        }
+        // Nobody would hear the rest of the order.
         check_connected(context)?;
-        Ok(Some(()))
+        Ok((context.driver.activity() == Activity::None).then_some(()))
     }
 
     fn reset(&mut self, now: MonotonicTime, context: &mut RequestContext<'_>) -> Result<Option<()>, RequestError> {

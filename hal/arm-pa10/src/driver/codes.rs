@@ -10,7 +10,7 @@ codes! {
     FaultCause, "A fault stopped a PA-10" {
         LinkLost = "PB3DP-ARM-101": "Several exchanges in a row had no usable reply."; "If the arm moves, press its emergency stop. Check cable and power, and that no other program uses the line. Then reset.";
         MeasurementTooOld = "PB3DP-ARM-102": "The gateway answers, but its newest measurement is too old: the servo controller does not answer it."; "Look at the gateway's log and at the servo controller. Then reset.";
-        Unplugged = "PB3DP-ARM-104": "The link was unplugged or closed."; "Connect it again. Then reset.";
+        Unplugged = "PB3DP-ARM-104": "The link was unplugged or closed."; "If the arm moves, press its emergency stop. Connect the link again. Then reset.";
         WrongArm = "PB3DP-ARM-105": "A frame of another arm came through this link."; "Correct the number of the arm, or swap the links of the two arms. Then reset.";
         CommandTimeout = "PB3DP-ARM-106": "The control loop sent no velocity for longer than the watchdog allows."; "Find what delayed the control loop: `pb3dp doctor`. Then reset.";
         OwnerSilent = "PB3DP-ARM-107": "The program made no request while the brakes were open."; "Find what delayed the control loop: `pb3dp doctor`. Then reset.";

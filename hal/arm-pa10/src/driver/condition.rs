@@ -72,8 +72,8 @@ pub enum Trip {
 pub enum FaultCause {
     /// Too many exchanges in a row without a usable reply.
     #[error(
-        "{misses} exchanges in a row without a usable reply; the arm may still be moving: if it moves, press its emergency stop; check \
-         cable and power, and that no other program uses the line, then reset"
+        "if the arm moves, press its emergency stop: {misses} exchanges in a row without a usable reply; check cable and power, and that \
+         no other program uses the line, then reset"
     )]
     LinkLost {
         /// Number of exchanges.
@@ -81,8 +81,8 @@ pub enum FaultCause {
     },
     /// Too many of the last exchanges had no usable reply, or a damaged one.
     #[error(
-        "{bad} of the last {exchanges} exchanges had no usable reply or a damaged one; the arm may still be moving: if it moves, press its \
-         emergency stop; check cable, ground and the load of the computer, then reset"
+        "if the arm moves, press its emergency stop: {bad} of the last {exchanges} exchanges had no usable reply or a damaged one; check \
+         cable, ground and the load of the computer, then reset"
     )]
     LinkPoor {
         /// Number of these exchanges.
@@ -102,7 +102,7 @@ pub enum FaultCause {
         allowed: Duration,
     },
     /// The link was unplugged or closed.
-    #[error("the link is gone (unplugged); if the arm moves, press its emergency stop; connect it again, then reset")]
+    #[error("if the arm moves, press its emergency stop: the link is gone (unplugged); connect it again, then reset")]
     Unplugged,
     /// A valid frame of another arm came.
     #[error(
@@ -481,6 +481,12 @@ impl Trip {
             ) => Some(*axis),
             Self::Fault(_) | Self::EStop(_) => None,
         }
+    }
+
+    /// Whether commands possibly do not reach the arm, which may still move.
+    pub fn may_still_move(&self) -> bool {
+        let Self::Fault(cause) = self else { return false };
+        matches!(cause, FaultCause::LinkLost { .. } | FaultCause::LinkPoor { .. } | FaultCause::Unplugged)
     }
 
     /// Whether another arm of the cell stopped this one.
