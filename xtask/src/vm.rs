@@ -38,7 +38,8 @@ const TRIES: u32 = 3;
 ///
 /// serial  the serial ports of an arm: USB adapters (ftdi_sio) and a 16550; their detection, rates and permissions,
 ///         a cable that is unplugged while an arm moves, the system calls of a cycle of 2 ms
-/// arcnet  the bus of an arm: the kernel's ARCNET driver (arc_rimi, arc_rawmode) on a card of plain memory
+/// arcnet  the bus of an arm: the kernel's ARCNET driver (arc_rimi, arc_rawmode) on a card of plain memory;
+///         two arms, each behind a gateway at an ARCNET interface of its own
 /// cameras two cameras (vivid) as one: detection, modes and controls, 300 pairs at full rate,
 ///         skew, damaged and lost images, a camera that is unplugged, permissions
 /// rig     `pb3dp run` itself with configs/rig.toml, two cameras (vivid) and two emulated

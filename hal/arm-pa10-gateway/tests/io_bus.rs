@@ -2,9 +2,6 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
-use std::fs::File;
-use std::io::{Read, Write};
-use std::os::fd::AsRawFd;
 use std::time::Duration;
 
 use pb3dp_arm_pa10_gateway::bus::{
@@ -12,6 +9,7 @@ use pb3dp_arm_pa10_gateway::bus::{
 };
 use pb3dp_arm_pa10_protocol::arcnet::{self, Route};
 use pb3dp_arm_pa10_protocol::codec::{ArmCommand, AxisCommand, ControlMessage, ControlPacket, Supervision, WireFormat};
+use pb3dp_arm_pa10_test_support::tunnel::Tunnel;
 use pb3dp_hal_platform::transport::Symptom;
 use pb3dp_test_support::not_checked;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -36,56 +34,23 @@ fn receive(port: &mut dyn BusPort) -> Vec<u8> {
     }
 }
 
-/// A TUN device that the kernel treats as an ARCNET card: frames sent on the interface can be read here, and the reverse.
-struct Tunnel {
-    file: File,
-    control: std::os::fd::OwnedFd,
-    request: libc::ifreq,
-}
-
-impl Tunnel {
-    /// In its own network namespace, so that the machine is not affected; for the calling thread.
-    fn open(name: &str, kind: u16) -> Result<Self, String> {
-        // SAFETY: no pointers are passed; only this thread changes its network namespace.
-        if unsafe { libc::unshare(libc::CLONE_NEWNET) } != 0 {
-            return Err(format!("no network of its own: {}", std::io::Error::last_os_error()));
-        }
-        let file =
-            File::options().read(true).write(true).open("/dev/net/tun").map_err(|e| format!("no tunnel: {e}"))?;
-        // SAFETY: all zeros are a valid request.
-        let mut request: libc::ifreq = unsafe { std::mem::zeroed() };
-        for (place, byte) in request.ifr_name.iter_mut().zip(name.bytes()) {
-            *place = byte.cast_signed();
-        }
-        request.ifr_ifru.ifru_flags = libc::IFF_TUN as libc::c_short;
-        let tunnel = |call: libc::c_ulong, argument: *const libc::c_void| {
-            // SAFETY: the tunnel is open and the argument has the type of this call: a request, or a number.
-            let result = unsafe { libc::ioctl(file.as_raw_fd(), call as _, argument) };
-            if result == 0 { Ok(()) } else { Err(format!("{call:x}: {}", std::io::Error::last_os_error())) }
-        };
-        tunnel(libc::TUNSETIFF as libc::c_ulong, (&raw const request).cast())?;
-        tunnel(libc::TUNSETLINK as libc::c_ulong, std::ptr::without_provenance(usize::from(kind)))?;
-        use rustix::net::{AddressFamily, SocketType, socket};
-        let control = socket(AddressFamily::INET, SocketType::DGRAM, None).unwrap();
-        Ok(Self { file, control, request })
+/// In its own network namespace, so that the machine is not affected; for the calling thread.
+fn tunnel(name: &str) -> Result<Tunnel, String> {
+    // SAFETY: no pointers are passed; only this thread changes its network namespace.
+    if unsafe { libc::unshare(libc::CLONE_NEWNET) } != 0 {
+        return Err(format!("no network of its own: {}", std::io::Error::last_os_error()));
     }
-
-    fn switch(&mut self, on: bool) {
-        self.request.ifr_ifru.ifru_flags = if on { (libc::IFF_UP | libc::IFF_RUNNING) as libc::c_short } else { 0 };
-        // SAFETY: the socket is open and the request is initialised.
-        let result = unsafe { libc::ioctl(self.control.as_raw_fd(), libc::SIOCSIFFLAGS as _, &raw const self.request) };
-        assert_eq!(result, 0, "{}", std::io::Error::last_os_error());
-    }
+    Tunnel::open(name).map_err(|error| format!("no tunnel: {error}"))
 }
 
 #[test]
 fn frames_go_through_an_arcnet_interface_whole() {
-    let mut tunnel = match Tunnel::open("arctest0", libc::ARPHRD_ARCNET) {
+    let mut tunnel = match tunnel("arctest0") {
         Ok(tunnel) => tunnel,
         Err(why) => return not_checked("io_bus::frames_go_through_an_arcnet_interface_whole", &why),
     };
     assert_eq!(ArcnetSocket::open("arctest0").unwrap_err(), ArcnetError::Down { name: "arctest0".into() });
-    tunnel.switch(true);
+    tunnel.switch(true).unwrap();
     let first = ArcnetSocket::open("arctest0").unwrap();
     assert_eq!(ArcnetSocket::open("arctest0").unwrap_err(), ArcnetError::InUse { name: "arctest0".into() });
     drop(first);
@@ -93,20 +58,16 @@ fn frames_go_through_an_arcnet_interface_whole() {
     for format in WireFormat::ALL {
         let frame = frame(format);
         assert_eq!(port.try_send(&frame), Ok(true));
-        let mut got = [0; 600];
-        let count = tunnel.file.read(&mut got).unwrap();
-        // The TUN device puts flags and protocol before each frame.
-        let envelope = [0, 0, 0, 0x1A];
-        assert_eq!(&got[..count], [&envelope, frame.as_slice()].concat());
-        tunnel.file.write_all(&[&envelope, frame.as_slice()].concat()).unwrap();
+        assert_eq!(receive(&mut tunnel), frame.as_slice());
+        assert_eq!(tunnel.try_send(&frame), Ok(true));
         assert_eq!(receive(&mut port), frame.as_slice());
     }
     assert_eq!(port.try_receive(&mut [0; FRAME_ROOM]), Ok(None));
-    tunnel.switch(false);
+    tunnel.switch(false).unwrap();
     let down = port.try_send(&frame(WireFormat::ALL[0])).unwrap_err();
     assert!(down.to_string().contains("the bus is down"), "{down}");
     // Up again the same bus works, after the kernel has reported once more that it was down.
-    tunnel.switch(true);
+    tunnel.switch(true).unwrap();
     assert_eq!(port.try_send(&frame(WireFormat::ALL[0])), Err(down));
     assert_eq!(port.try_send(&frame(WireFormat::ALL[0])), Ok(true));
     // A removed interface is gone for good.

@@ -15,10 +15,11 @@ use crate::workspace::output_of;
 /// The metapackage that depends on the current kernel: the name of the kernel's package changes with every update.
 const METAPACKAGE: &str = "linux-image-amd64";
 
-/// Parts of the kernel that are kept; all modules would be 400 MB.
-const MODULE_FOLDERS: [&str; 10] = [
+/// Begins of the paths of modules that are kept; all modules would be 400 MB.
+const MODULES: [&str; 11] = [
     "drivers/usb",
     "drivers/net/arcnet",
+    "drivers/net/tun.",
     "fs/configfs",
     "drivers/tty",
     "drivers/media/cec",
@@ -53,7 +54,7 @@ impl Kernel {
     pub fn get(cache: &Path, renews: bool) -> anyhow::Result<Self> {
         let kept = cache.join(KEPT);
         // A kernel with other parts than needed now does not count.
-        if !renews && read(&kept.join(PARTS)).is_ok_and(|parts| parts == MODULE_FOLDERS.join("\n")) {
+        if !renews && read(&kept.join(PARTS)).is_ok_and(|parts| parts == MODULES.join("\n")) {
             return Self::open(&kept);
         }
         let scratch = cache.join("new");
@@ -128,7 +129,7 @@ fn unpack(file: &Path, folder: &Path) -> anyhow::Result<()> {
         tar.stdin(Stdio::from(output));
     }
     // Folders that a kernel does not have are no error here: a missing module is reported when it is needed.
-    tar.arg("*/vmlinuz-*").args(MODULE_FOLDERS.map(|part| format!("*/kernel/{part}/*"))).stderr(Stdio::null());
+    tar.arg("*/vmlinuz-*").args(MODULES.map(|part| format!("*/kernel/{part}*"))).stderr(Stdio::null());
     let _ = tar.status().context("cannot start tar")?;
     if !packed.wait()?.success() {
         bail!("cannot unpack {}: delete it, and try again", file.display());
@@ -136,7 +137,7 @@ fn unpack(file: &Path, folder: &Path) -> anyhow::Result<()> {
     let boot = fs::read_dir(raw.join("boot")).context("the package has no kernel")?;
     let names = boot.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
     let name = names.filter(|name| name.starts_with("vmlinuz-")).max().context("the package has no kernel")?;
-    fs::write(folder.join(PARTS), MODULE_FOLDERS.join("\n"))?;
+    fs::write(folder.join(PARTS), MODULES.join("\n"))?;
     fs::write(folder.join("release"), name.trim_start_matches("vmlinuz-"))?;
     keep_image(&raw.join("boot").join(name), folder)?;
     fs::rename(raw, folder.join("modules")).context("cannot move the modules to their folder")

@@ -63,12 +63,12 @@ pub const SUITES: [Suite; 5] = [
     },
     Suite {
         name: "arcnet",
-        what: "the bus of an arm, by the kernel's ARCNET driver",
+        what: "the bus of an arm, by the kernel's ARCNET driver; two arms, each behind a gateway at an ARCNET interface",
         package: "pb3dp-arm-pa10",
         example: "arm_guest",
         has_product: false,
         processor: PLAIN,
-        modules: &["arcnet", "arc_rawmode"],
+        modules: &["arcnet", "arc_rawmode", "tun"],
         modules_by_hand: &["arc_rimi"],
         // Memory that the kernel does not use serves as a card, which the program also reads and writes.
         kernel_arguments: "memmap=1M$0x10000000 iomem=relaxed",

@@ -1,4 +1,4 @@
-//! An arm in the guest: host and gateway at the ends of the cable, an emulated controller behind a socket.
+//! An arm in the guest: a host, its gateway and an emulated controller, with real lines between them.
 
 use std::error::Error;
 use std::path::PathBuf;
@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use pb3dp_arm_pa10::arm::{Pa10Arm, Pa10ArmConfig, REALTIME, trip_line};
+use pb3dp_arm_pa10::arm::{Pa10Arm, Pa10ArmConfig, REALTIME, TripSeat};
 use pb3dp_arm_pa10::driver::DriverConfig;
 use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockServer, MockServerConfig};
 use pb3dp_arm_pa10_emulation::mock_controller::{MockControllerConfig, Script, pa10_joints};
@@ -22,12 +22,12 @@ use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
 use pb3dp_hal_platform::realtime::{Realtime, enter, now, sleep_until};
+use pb3dp_hal_platform::transport::Connector;
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::JointPlant;
 
 use crate::serial;
 
-const ARM: ArmId = ArmId(2);
 const FORMAT: WireFormat = WireFormat::BigEndian6x10;
 pub const BAUD: u32 = 921_600;
 pub const CYCLE: Duration = Duration::from_millis(10);
@@ -65,6 +65,34 @@ impl Clock for MachineClock {
     }
 }
 
+/// The lines of an arm, and the times of its bus.
+pub struct Lines {
+    pub arm: ArmId,
+    /// From the host to the gateway, and the gateway's end of it.
+    pub host: Box<dyn Connector>,
+    pub of_host: HostSide,
+    /// From the gateway to the controller, and the controller's end of it.
+    pub bus: BusOpener,
+    pub controller: MockFace,
+    pub bus_cycle: Duration,
+    pub lateness_allowed: Duration,
+}
+
+impl Lines {
+    /// Host and gateway at the ends of a serial cable, a socket in place of the bus.
+    pub fn serial(host_path: &str, gateway_path: &str) -> Self {
+        Self {
+            arm: ArmId(2),
+            host: Box::new(serial::config(host_path, BAUD, CYCLE)),
+            of_host: HostSide::Line(Box::new(serial::config(gateway_path, BAUD, CYCLE))),
+            bus: Box::new(|| Ok(Box::new(FrameSocket::connect(&socket())?) as Box<dyn BusPort>)),
+            controller: MockFace::BusSocket(socket()),
+            bus_cycle: BUS_CYCLE,
+            lateness_allowed: LATENESS_ALLOWED,
+        }
+    }
+}
+
 /// Host, gateway, controller and joints.
 pub struct Cell {
     pub arm: Pa10Arm,
@@ -84,7 +112,8 @@ fn velocity() -> JointVector {
 
 impl Cell {
     /// With closed brakes.
-    pub fn start(host_path: &str, gateway_path: &str) -> Result<Self, Box<dyn Error>> {
+    pub fn start(lines: Lines, seat: TripSeat) -> Result<Self, Box<dyn Error>> {
+        let Lines { arm, host, of_host, bus, controller: face, bus_cycle, lateness_allowed } = lines;
         let clock: Arc<dyn Clock> = Arc::new(MachineClock);
         let plant = Arc::new(Mutex::new(JointPlant::new(pa10_joints()?, home(), now())?));
         let watcher = Watcher::start(Arc::clone(&plant))?;
@@ -92,18 +121,16 @@ impl Cell {
             MockControllerConfig { watchdog: Some(CONTROLLER_WATCHDOG), ..MockControllerConfig::new(FORMAT) };
         let realtime = |priority| Realtime { priority: Some(priority), ..REALTIME };
         let config = MockServerConfig { controller, seed: 1, script: Script::default(), realtime: realtime(60) };
-        let mock = MockServer::start(config, MockFace::BusSocket(socket()), plant, Arc::clone(&clock))?;
-        let bus: BusOpener = Box::new(|| Ok(Box::new(FrameSocket::connect(&socket())?) as Box<dyn BusPort>));
+        let mock = MockServer::start(config, face, plant, Arc::clone(&clock))?;
         let gateway = GatewayConfig {
-            cycle: BUS_CYCLE,
-            lateness_allowed: LATENESS_ALLOWED,
+            cycle: bus_cycle,
+            lateness_allowed,
             controller_watchdog: Some(CONTROLLER_WATCHDOG),
-            ..GatewayConfig::new(ARM, FORMAT, Firmware::new("pb3dp guest").ok_or("a name")?, MotionLimits::WIDEST)
+            ..GatewayConfig::new(arm, FORMAT, Firmware::new("pb3dp guest").ok_or("a name")?, MotionLimits::WIDEST)
         };
-        let host = HostSide::Line(Box::new(serial::config(gateway_path, BAUD, CYCLE)));
-        let gateway = GatewayServer::start(GatewayServerConfig { gateway, realtime: realtime(55) }, bus, host)?;
+        let gateway = GatewayServer::start(GatewayServerConfig { gateway, realtime: realtime(55) }, bus, of_host)?;
         let link = GatewayLinkConfig {
-            arm: ARM,
+            arm,
             format: FORMAT,
             geometry: Geometry::Unknown,
             cycle: CYCLE,
@@ -111,9 +138,7 @@ impl Cell {
             signals: StatusSignals::ORCA,
         };
         let config = Pa10ArmConfig::new("guest", DriverConfig::with_cycle(CYCLE), link);
-        let serial = serial::config(host_path, BAUD, CYCLE);
-        let seat = trip_line(1)?.remove(0);
-        let arm = Pa10Arm::open(config, Box::new(serial), clock, seat)?;
+        let arm = Pa10Arm::open(config, host, clock, seat)?;
         Ok(Self { arm, mock, gateway, joints: watcher, next: now() })
     }
 
@@ -132,12 +157,21 @@ impl Cell {
 
     /// One cycle of motion. A late answer is no error.
     pub fn exchange(&mut self) -> Result<(), ArmError> {
+        self.command(JointCommand::Velocity(velocity()))
+    }
+
+    fn command(&mut self, command: JointCommand) -> Result<(), ArmError> {
         self.next = (self.next + CYCLE).max(now());
         MachineClock.sleep_until(self.next);
-        match self.arm.exchange(JointCommand::Velocity(velocity())) {
+        match self.arm.exchange(command) {
             Err(error) if error.kind() != ArmErrorKind::Timeout => Err(error),
             _ => Ok(()),
         }
+    }
+
+    /// One cycle without motion. A late answer is no error.
+    pub fn hold(&mut self) -> Result<(), ArmError> {
+        self.command(JointCommand::Hold)
     }
 
     /// Whether the brakes are closed and the joints have been stationary for a while.

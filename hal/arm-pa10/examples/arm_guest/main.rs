@@ -18,6 +18,7 @@ mod realtime;
 mod report;
 mod serial;
 mod system;
+mod two_arms;
 
 use std::process::ExitCode;
 
@@ -56,7 +57,10 @@ fn run(suite: &str) {
             realtime::check(&mut report);
             pulled::check(&mut report);
         }
-        "arcnet" => arcnet::check(&mut report),
+        "arcnet" => {
+            arcnet::check(&mut report);
+            two_arms::check(&mut report);
+        }
         other => report.check("the suite is known", || Err(format!("there is no suite `{other}`").into())),
     }
     report.end();

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::time::Duration;
 
+use pb3dp_arm_pa10::arm::trip_line;
 use pb3dp_arm_pa10::driver::{FaultCause, Latched, Trip};
 use pb3dp_arm_pa10::serial::SerialLink;
 use pb3dp_arm_pa10_protocol::gateway_protocol::StopCause;
@@ -13,7 +14,7 @@ use pb3dp_hal_api::{ArmError, ArmErrorKind, ArmPower};
 use pb3dp_hal_platform::realtime::{Realtime, enter, now, sleep_until};
 use pb3dp_hal_platform::transport::{ByteLink, wait};
 
-use crate::cell::{BAUD, CYCLE, Cell};
+use crate::cell::{BAUD, CYCLE, Cell, Lines};
 use crate::report::{Outcome, Report, ensure, plug, unplug};
 use crate::serial::{GATEWAY, HOST, adapter, config};
 use crate::system::{KernelLog, LONG, wait_for};
@@ -47,7 +48,8 @@ pub fn check(report: &mut Report) {
     report.check("a port that is lost while bytes go out is closed at once", close_a_lost_port);
     let mut cell = None;
     report.check("an arm moves through both adapters", || {
-        let made = cell.insert(Cell::start(&adapter(HOST)?, &adapter(GATEWAY)?)?);
+        let made =
+            cell.insert(Cell::start(Lines::serial(&adapter(HOST)?, &adapter(GATEWAY)?), trip_line(1)?.remove(0))?);
         ensure(made.arm.warnings().is_empty(), || format!("{:?}", made.arm.warnings()))?;
         let before = made.position_rad();
         made.make_move()?;
