@@ -191,7 +191,8 @@ fn host_side(setup: &GatewaySetup) -> Result<HostSide> {
 /// If the file cannot be read, others can read it, or it holds no key.
 pub fn read_access(place: &AccessPlace) -> Result<Access> {
     let key = read_shared_key(&place.key_file).context(
-        "access.key_file: a gateway on TCP needs a key, because every program on the network could drive the arm without one",
+        "access.key_file: a gateway on TCP needs a key, because every program on the network could drive the arm without one; \
+         `pb3dp gateway key FILE` makes it",
     )?;
     Ok(Access { key, peers: place.peers.clone() })
 }
@@ -324,7 +325,9 @@ fn tell(what: &Happened) {
         Happened::HostGone(symptom) if is_normal_end(*symptom) => tracing::info!("the host has closed its line"),
         Happened::HostGone(symptom) => tracing::warn!("host line lost ({symptom})"),
         Happened::HostReplaced => tracing::warn!("a silent connection was replaced by a new one"),
-        Happened::BusDown(symptom) => tracing::error!("the bus is down ({symptom}); reconnecting"),
+        Happened::BusDown(symptom) => tracing::error!(
+            "the bus is down ({symptom}); reconnecting; check cable and power of the controller, and that no other gateway uses this bus"
+        ),
         Happened::BusUp => tracing::info!("the bus is up again"),
         // Logged together.
         Happened::Overrun { .. } => {}

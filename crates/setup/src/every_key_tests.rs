@@ -432,6 +432,11 @@ fn ways_to_an_arm_that_do_not_fit_are_refused() {
         ("hil.toml", "arms.vs.backend = \"serial\"", "\"serial\" needs port and baud: add port and baud"),
         ("hil.toml", "arms.vs.backend = \"tcp\"", "\"tcp\" needs address and key_file: add address and key_file"),
         ("hil.toml", "arms.vs.backend = \"local\"", "\"local\" needs socket: add socket"),
+        (
+            "hil.toml",
+            "[arms.vs]\nbackend = \"local\"\ngateway = { socket = \"local:/run/arm1.sock\" }",
+            "arms.vs.gateway.socket = \"local:/run/arm1.sock\": write the path alone, \"/run/arm1.sock\"",
+        ),
         ("hil.toml", "arms.vs.backend = \"usb\"", "arms.vs.backend"),
         (
             "hil.toml",

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::layers::built_in_keys::{Values, all_keys, texts};
-use crate::load::{nearest, unit_of};
+use crate::load::{nearest, removed, unit_of};
 use crate::setup::{camera_faults, refusals_of};
 
 /// Keys that mean the same in each table of their kind, which has the comment.
@@ -44,6 +44,9 @@ pub fn explain(key: &str) -> Result<Vec<Explanation>, Vec<String>> {
     if is_within(&of_sample, FAULTS) {
         let about = format!("may be left out; {}", camera_faults::help());
         return Ok(vec![Explanation { key: FAULTS.to_owned(), about, unit: None, allowed: None, values: Vec::new() }]);
+    }
+    if let Some(about) = removed(&of_sample) {
+        return Ok(vec![Explanation { key: of_sample, about, unit: None, allowed: None, values: Vec::new() }]);
     }
     if below.is_empty() && is_taken(&of_sample) {
         let about = "may be left out; no built-in setup states it".to_owned();
@@ -217,6 +220,10 @@ mod tests {
     fn a_table_lists_its_keys_and_a_typo_names_the_nearest() {
         assert!(explain("servo.speed").unwrap().len() >= 4);
         assert_eq!(explain("servo.speed.linear_max_mm_per_ss").unwrap_err(), ["servo.speed.linear_max_mm_per_s"]);
+        for key in ["arms.vs.bus", "arms.left_arm.bus.port", "arms.tc.gateway.certificate"] {
+            let about = &explain(key).unwrap()[0].about;
+            assert!(about.starts_with("this key is gone: "), "{key}: {about}");
+        }
     }
 
     #[test]

@@ -174,6 +174,12 @@ const NO_TLS: &str = "the key file alone protects the link to a gateway; remove 
 const NO_BUS: &str = "the gateway is the only program on the bus of an arm: run `pb3dp gateway` on this computer, then write backend = \"local\" \
                       and the table gateway here; docs/gateway.md has the new place of each key of bus";
 
+/// What to do instead of a key of an earlier version, or of one in a table of an earlier version.
+pub(crate) fn removed(key: &str) -> Option<String> {
+    let is_it = |(removed, _): &&(&str, &str)| key.ends_with(removed) || key.contains(&format!("{removed}."));
+    REMOVED.iter().find(is_it).map(|(_, advice)| format!("this key is gone: {advice}"))
+}
+
 /// The same for a word.
 const REMOVED_WORDS: [(&str, &str, &str); 2] = [
     (".backend", "arcnet", NO_BUS),
@@ -254,8 +260,8 @@ fn describe(error: &figment::Error) -> String {
             } else {
                 format!("{path}.{field}")
             };
-            if let Some((_, advice)) = REMOVED.iter().find(|(removed, _)| key.ends_with(removed)) {
-                return format!("{key}: this key is gone: {advice}");
+            if let Some(gone) = removed(&key) {
+                return format!("{key}: {gone}");
             }
             match nearest(field, expected) {
                 Some(nearest) => format!("{key}: unknown key; did you mean {nearest}?"),

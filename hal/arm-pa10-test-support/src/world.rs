@@ -220,20 +220,24 @@ pub struct Host {
     velocity: Option<JointVector>,
 }
 
+/// What a host asks of the gateway.
+pub fn host_link() -> GatewayLinkConfig {
+    GatewayLinkConfig {
+        arm: ARM,
+        format: FORMAT,
+        geometry: Geometry::Unknown,
+        // A gateway may be configured with at most 10 ms.
+        cycle: ms(10),
+        limits: HostLimits { asked: asked_limits(), ..HostLimits::WIDEST },
+        signals: StatusSignals::ORCA,
+    }
+}
+
 impl Host {
     pub fn new(line: Box<dyn ByteLink>) -> Self {
         let config = DriverConfig { watchdog: watchdog(), ..DriverConfig::with_cycle(CYCLE) };
-        let link = GatewayLinkConfig {
-            arm: ARM,
-            format: FORMAT,
-            geometry: Geometry::Unknown,
-            // A gateway may be configured with at most 10 ms.
-            cycle: ms(10),
-            limits: HostLimits { asked: asked_limits(), ..HostLimits::WIDEST },
-            signals: StatusSignals::ORCA,
-        };
         hurry();
-        let (driver, link) = (Driver::new(config).unwrap(), GatewayLink::new(link));
+        let (driver, link) = (Driver::new(config).unwrap(), GatewayLink::new(host_link()));
         Self { driver, link, line, is_gone: false, velocity: None }
     }
 

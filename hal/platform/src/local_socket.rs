@@ -7,6 +7,7 @@ use std::os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 
+use rustix::io::Errno;
 use rustix::net::sockopt::socket_peercred;
 use rustix::process::geteuid;
 
@@ -45,6 +46,16 @@ pub enum LocalSocketError {
         /// Its folder.
         folder: PathBuf,
     },
+    /// The path leads to something else.
+    #[error(
+        "{} is no socket of a gateway but {found}: write the path that follows `local:` in host.line of the gateway's file", path.display()
+    )]
+    OtherKind {
+        /// The path.
+        path: PathBuf,
+        /// What is there.
+        found: &'static str,
+    },
     /// The system does not let this user connect.
     #[error("socket {}: this user may not open it: run both programs as the same user", path.display())]
     NotPermitted {
@@ -59,8 +70,8 @@ pub enum LocalSocketError {
     },
     /// Other users could replace the socket.
     #[error(
-        "socket {}: users other than its owner may write into its folder (mode {mode:04o}, owner {owner}): use a folder that belongs to \
-         root or to user {user} with mode 0755 or less, for instance /run/pb3dp", path.display()
+        "socket {}: its folder must belong to root or to user {user}, and nobody else may write into it (its mode is {mode:04o}, its owner \
+         is user {owner}): use one with mode 0755 or less, for instance /run/pb3dp", path.display()
     )]
     Folder {
         /// Path of the socket.
@@ -107,13 +118,44 @@ impl LocalConfig {
     /// If nobody listens, or a program of another user does.
     pub fn connect_link(&self) -> Result<LocalLink, LocalSocketError> {
         let path = || self.path.clone();
+        check_kind(&self.path)?;
         let stream = UnixStream::connect(&self.path).map_err(|source| match source.kind() {
             ErrorKind::NotFound | ErrorKind::ConnectionRefused => LocalSocketError::Nobody { path: path() },
             ErrorKind::PermissionDenied => LocalSocketError::NotPermitted { path: path() },
+            _ if source.raw_os_error() == Some(Errno::PROTOTYPE.raw_os_error()) => LocalSocketError::OtherKind {
+                path: path(),
+                found: "a socket of packets, like the bus of an emulated controller",
+            },
             _ => LocalSocketError::System { path: path(), source },
         })?;
         check_user(&stream, &self.path)?;
         link(stream, &self.path)
+    }
+}
+
+impl LocalConfig {
+    /// Whether a host can expect to connect: the socket of a gateway that this user trusts is there. Connects to nobody.
+    ///
+    /// # Errors
+    /// What [`Self::connect_link`] would find.
+    pub fn check_for_host(&self) -> Result<(), LocalSocketError> {
+        let path = || self.path.clone();
+        check_kind(&self.path)?;
+        let other = symlink_metadata(&self.path).map_err(|_| LocalSocketError::Nobody { path: path() })?.uid();
+        let user = geteuid().as_raw();
+        if !is_trusted(other) {
+            return Err(LocalSocketError::OtherUser { path: path(), other, user });
+        }
+        Ok(())
+    }
+
+    /// Whether a gateway can listen: the folder is there, and only root and this user may write into it.
+    ///
+    /// # Errors
+    /// What [`LocalListener::bind`] would find, but for a program that listens already.
+    pub fn check_for_gateway(&self) -> Result<(), LocalSocketError> {
+        check_folder(&self.path)?;
+        check_kind(&self.path)
     }
 }
 
@@ -134,12 +176,10 @@ impl LocalListener {
     /// If another program listens there, other users may write into the folder, or the socket cannot be made.
     pub fn bind(path: &Path) -> Result<Self, LocalSocketError> {
         let system = |source| LocalSocketError::System { path: path.to_owned(), source };
-        check_folder(path)?;
+        LocalConfig { path: path.to_owned() }.check_for_gateway()?;
         match UnixStream::connect(path) {
             Ok(_) => return Err(LocalSocketError::InUse { path: path.to_owned() }),
-            Err(error) if error.kind() == ErrorKind::ConnectionRefused && is_socket(path) => {
-                remove_file(path).map_err(system)?;
-            }
+            Err(error) if error.kind() == ErrorKind::ConnectionRefused => remove_file(path).map_err(system)?,
             Err(_) => {}
         }
         let listener = UnixListener::bind(path).map_err(system)?;
@@ -186,8 +226,16 @@ fn link(stream: UnixStream, path: &Path) -> Result<LocalLink, LocalSocketError> 
     Ok(SocketLink::new(stream, format!("socket {}", path.display())))
 }
 
-fn is_socket(path: &Path) -> bool {
-    symlink_metadata(path).is_ok_and(|found| found.file_type().is_socket())
+/// Nothing, or a socket.
+fn check_kind(path: &Path) -> Result<(), LocalSocketError> {
+    let Ok(found) = symlink_metadata(path).map(|found| found.file_type()) else { return Ok(()) };
+    let found = match (found.is_socket(), found.is_dir(), found.is_symlink()) {
+        (true, ..) => return Ok(()),
+        (_, true, _) => "a folder",
+        (_, _, true) => "a symbolic link",
+        _ => "a file",
+    };
+    Err(LocalSocketError::OtherKind { path: path.to_owned(), found })
 }
 
 fn check_folder(path: &Path) -> Result<(), LocalSocketError> {
@@ -205,7 +253,7 @@ fn check_folder(path: &Path) -> Result<(), LocalSocketError> {
 
 /// The kernel states the user that opened the other end.
 fn check_user(stream: &UnixStream, path: &Path) -> Result<(), LocalSocketError> {
-    let system = |error: rustix::io::Errno| LocalSocketError::System { path: path.to_owned(), source: error.into() };
+    let system = |error: Errno| LocalSocketError::System { path: path.to_owned(), source: error.into() };
     let other = socket_peercred(stream).map_err(system)?.uid.as_raw();
     if is_trusted(other) {
         return Ok(());
@@ -223,6 +271,8 @@ mod tests {
     #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
     use std::time::Duration;
+
+    use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType, socket_with};
 
     use super::*;
     use crate::transport::{Symptom, wait};
@@ -269,8 +319,28 @@ mod tests {
         let stale = LocalListener::bind(&folder.path().join("stale")).unwrap();
         assert!(LocalConfig { path: stale.path().to_owned() }.connect_link().is_ok());
         std::fs::write(folder.path().join("file"), "mine").unwrap();
-        assert!(matches!(LocalListener::bind(&folder.path().join("file")), Err(LocalSocketError::System { .. })));
+        assert!(matches!(LocalListener::bind(&folder.path().join("file")), Err(LocalSocketError::OtherKind { .. })));
         assert_eq!(std::fs::read(folder.path().join("file")).unwrap(), b"mine");
+    }
+
+    #[test]
+    fn what_is_no_socket_of_a_gateway_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let in_folder = |name: &str| folder.path().join(name);
+        std::fs::write(in_folder("file"), "").unwrap();
+        std::os::unix::fs::symlink(in_folder("file"), in_folder("link")).unwrap();
+        let bus = socket_with(AddressFamily::UNIX, SocketType::SEQPACKET, SocketFlags::CLOEXEC, None).unwrap();
+        rustix::net::bind(&bus, &SocketAddrUnix::new(in_folder("bus")).unwrap()).unwrap();
+        rustix::net::listen(&bus, 1).unwrap();
+        for (name, found) in [
+            ("file", "but a file: "),
+            ("link", "but a symbolic link: "),
+            (".", "but a folder: "),
+            ("bus", "the bus of an emulated controller: "),
+        ] {
+            let error = LocalConfig { path: in_folder(name) }.connect_link().err().unwrap().to_string();
+            assert!(error.contains(found) && error.contains("host.line"), "{error}");
+        }
     }
 
     #[test]
@@ -280,7 +350,7 @@ mod tests {
         for mode in [0o770, 0o702, 0o1777] {
             set_permissions(folder.path(), Permissions::from_mode(mode)).unwrap();
             let error = LocalListener::bind(&path).unwrap_err().to_string();
-            assert!(error.contains(&format!("mode {mode:04o}")) && error.contains("arm1.sock"), "{error}");
+            assert!(error.contains(&format!("mode is {mode:04o}")) && error.contains("arm1.sock"), "{error}");
         }
         set_permissions(folder.path(), Permissions::from_mode(0o755)).unwrap();
         assert!(LocalListener::bind(&path).is_ok());

@@ -180,7 +180,7 @@ fn judge_stop(snapshot: &ArmSnapshot, report: &mut ProbeReport) {
 /// What the gateway states about itself that needs a warning or a refusal.
 fn judge_gateway(arm: &ArmSetup, hello: &HelloReply, report: &mut ProbeReport) {
     if hello.controller_watchdog_us == 0 {
-        report.warn("the controller's watchdog is not set at the gateway: measure it on the rig");
+        report.warn("the gateway does not know the controller's watchdog: measure it on the rig, and set bus.controller_time_out_millis in the gateway's file");
     }
     if let ArmLink::Gateway(link, _) = &arm.link
         && let Some(doubt) = geometry_doubt(link.geometry, hello.geometry)

@@ -1,6 +1,6 @@
 //! Configuration file of `pb3dp gateway`.
 
-use pb3dp_arm_pa10_gateway::gateway::{CYCLE_RANGE, GatewayConfig, RAMP_AFTER_MIN};
+use pb3dp_arm_pa10_gateway::gateway::{CYCLE_RANGE, GatewayConfig, GatewayConfigError, RAMP_AFTER_MIN};
 use pb3dp_arm_pa10_protocol::codec::PA10_SPEED_MAX_RAD_PER_S;
 use pb3dp_arm_pa10_protocol::codec::{Axis, SequenceModulus, StatusSignals, Supervision, TorqueScale, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, AxisMotion, BRAKE_TIME_MAX, Firmware, MotionLimits};
@@ -168,10 +168,16 @@ struct RealtimeSection {
 pub fn read_gateway(file: &Path, bus: Option<&str>, host: Option<&str>) -> Result<GatewaySetup, ConfigError> {
     let config = ConfigFile::read(file, FileKind::Gateway)?;
     let mut check = Checker::default();
+    let folder = file.parent().unwrap_or(Path::new("."));
     let setup = config.all().and_then(|mut raw: GatewayFile| {
         raw.bus.port = bus.map_or(raw.bus.port, str::to_owned);
-        raw.host.line = host.map_or(raw.host.line, str::to_owned);
-        raw.build(file.parent().unwrap_or(Path::new(".")), &mut check)
+        // As the key file, a socket in the file is relative to it.
+        let line = match raw.host.line.strip_prefix("local:") {
+            Some(path) if !path.is_empty() => format!("local:{}", folder.join(path).display()),
+            _ => raw.host.line,
+        };
+        raw.host.line = host.map_or(line, str::to_owned);
+        raw.build(folder, &mut check)
     });
     config.finish(check)?;
     // Every path on which `build` returns nothing has added a refusal.
@@ -195,7 +201,7 @@ impl GatewayFile {
         let limits = self.limits.build().map_err(|why| refuse(check, "limits", why)).ok()?;
         let gateway = self.gateway((watchdog, modulus), limits, signals)?;
         if let Err(why) = gateway.check() {
-            refuse(check, "the gateway", why.to_string());
+            refuse(check, key_of(&why), why.to_string());
         }
         let RealtimeSection { priority, lock_memory, processor } = self.realtime;
         let realtime = Realtime {
@@ -313,6 +319,18 @@ impl LimitRow {
     }
 }
 
+/// Key of the value that a gateway refuses.
+fn key_of(why: &GatewayConfigError) -> &'static str {
+    match why {
+        GatewayConfigError::Cycle { .. } => "bus.cycle_millis",
+        GatewayConfigError::Lateness { .. } => "bus.lateness_allowed_millis",
+        GatewayConfigError::BrakeTime { .. } => "arm.brake_millis",
+        GatewayConfigError::Watchdog { .. } => "host.ramp_after_millis",
+        GatewayConfigError::Supervision => "bus.supervise_dead_man, bus.supervise_other_axes",
+        GatewayConfigError::Wired { .. } | GatewayConfigError::Absent { .. } => "arm.signals",
+    }
+}
+
 fn in_millis(time: Duration) -> f64 {
     time.as_secs_f64() * 1e3
 }
@@ -367,7 +385,11 @@ mod tests {
             ("sequence_numbers = 128", "sequence_numbers = 100", "bus.sequence_numbers = 100: allowed are 128 and 256"),
             ("stop_after_millis = 50.0", "stop_after_millis = 201.0", "host.stop_after_millis = 201"),
             ("stop_after_millis = 50.0", "stop_after_millis = 20.0", "host.stop_after_millis: a watchdog that slows"),
-            ("lateness_allowed_millis = 2.0", "lateness_allowed_millis = 1.0", "at least one cycle"),
+            (
+                "lateness_allowed_millis = 2.0",
+                "lateness_allowed_millis = 1.0",
+                "bus.lateness_allowed_millis: an allowed lateness of 1ms is out of range: give at least one cycle",
+            ),
             ("priority = 80", "priority = 100", "realtime.priority = 100: allowed are 0 to 99"),
             ("interpolate = true", "", "host.interpolate: missing"),
             (
@@ -412,5 +434,17 @@ mod tests {
             .unwrap();
         let error = read_gateway(&file, None, None).unwrap_err().to_string();
         assert!(error.contains("supervision by the controller exists in format B only"), "{error}");
+    }
+
+    #[test]
+    fn a_socket_in_the_file_is_relative_to_it_and_one_of_the_command_line_is_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("gateway.toml");
+        let text = std::fs::read_to_string(configs()).unwrap();
+        std::fs::write(&file, text.replace("tcp:127.0.0.1:4534", "local:run/arm1.sock")).unwrap();
+        let host = |line| read_gateway(&file, None, line).unwrap().host;
+        assert_eq!(host(None), HostPlace::Local(LocalConfig { path: folder.path().join("run/arm1.sock") }));
+        let of_command_line = HostPlace::Local(LocalConfig { path: "run/arm2.sock".into() });
+        assert_eq!(host(Some("local:run/arm2.sock")), of_command_line);
     }
 }

@@ -276,6 +276,11 @@ impl GatewaySection {
                 GatewayWay::Serial { path: path.clone(), baud: whole(baud) }
             }
             (ArmBackend::Local, None, None, None, Some(socket)) => {
+                // A path that is not absolute stands below the folder of its file here.
+                if let Some((_, path)) = socket.split_once("local:") {
+                    let stated = format!("local:{path}");
+                    check.refuse(format!("{key}.gateway.socket = {stated:?}: write the path alone, {path:?}"));
+                }
                 GatewayWay::Local(LocalConfig { path: socket.into() })
             }
             (ArmBackend::Tcp, None, None, Some((address, key_file)), None) => GatewayWay::Tcp {

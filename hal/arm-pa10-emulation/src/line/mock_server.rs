@@ -330,8 +330,13 @@ impl Line {
 
     /// Refuses other hosts while one is connected.
     fn refuse_others(&mut self) {
-        if let Self::Tcp(admission, Some(host)) = self {
-            drop(admission.poll(realtime::now(), Some(host.peer), &mut |_| {}));
+        match self {
+            Self::Tcp(admission, Some(host)) => {
+                drop(admission.poll(realtime::now(), Some(host.peer), &mut |_| {}));
+            }
+            // A bus has one gateway: the end of its connection tells a second one.
+            Self::BusSocket(listener, _, Some(_)) => drop(listener.try_accept()),
+            _ => {}
         }
     }
 

@@ -9,7 +9,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use pb3dp_arm_pa10::driver::{DriverState, Request};
+use pb3dp_arm_pa10::arm::{ArmOpenError, Pa10Arm, Pa10ArmConfig, RequestError, trip_line};
+use pb3dp_arm_pa10::driver::{DriverConfig, DriverState, Request};
 use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10_emulation::mock_controller::ControlMode;
 use pb3dp_arm_pa10_gateway::bus::{BusDown, BusPort, FRAME_ROOM, FrameListener, FrameSocket};
@@ -18,8 +19,9 @@ use pb3dp_arm_pa10_gateway::service::{
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{GatewayState, StopCause};
 use pb3dp_arm_pa10_test_support::world::{
-    ARM, Emulation, Host, LONG, gateway_config, home, keyed, ms, tcp_side, test_key, velocity,
+    ARM, Emulation, Host, LONG, gateway_config, home, host_link, keyed, ms, tcp_side, test_key, velocity,
 };
+use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_platform::local_socket::LocalConfig;
 use pb3dp_hal_platform::pty::Pty;
 use pb3dp_hal_platform::realtime::{self, Realtime};
@@ -189,7 +191,7 @@ fn unplugged_in_motion() {
 fn a_host_whose_connection_ends_in_motion_is_silent_and_the_next_one_has_to_reset() {
     in_real_time_beside_others(|| {
         let (side, address) = tcp_side();
-        connection_ends_in_motion(side, || connect(address), "127.0.0.1 port ");
+        connection_ends_in_motion(side, || Box::new(keyed(address)), "127.0.0.1 port ");
     });
 }
 
@@ -200,13 +202,13 @@ fn the_same_holds_for_a_host_on_the_computer_of_the_gateway() {
     let config = LocalConfig { path: path.clone() };
     in_real_time_beside_others(move || {
         let side = HostSide::listen_at_socket(&path, ARM).unwrap();
-        let connect = || Host::new(config.clone().connect().unwrap());
-        connection_ends_in_motion(side, connect, "this computer: end the program there");
+        connection_ends_in_motion(side, || Box::new(config.clone()), "this computer: end the program there");
     });
     assert!(!folder.path().join("arm1.sock").exists(), "the socket vanishes with the gateway");
 }
 
-fn connection_ends_in_motion(side: HostSide, connect: impl Fn() -> Host, holder: &str) {
+fn connection_ends_in_motion(side: HostSide, connector: impl Fn() -> Box<dyn Connector>, holder: &str) {
+    let connect = || Host::new(connector().connect().unwrap());
     let (server, emulation) = server(side);
     let witness = Witness(&server);
     let mut host = connect();
@@ -220,6 +222,15 @@ fn connection_ends_in_motion(side: HostSide, connect: impl Fn() -> Host, holder:
     assert!(refused.contains(&format!("the gateway is held by the host at {holder}")), "{refused}");
     messages_until(&server, "was turned away: another host is connected");
     assert!(second.run_for(LONG, |host| host.is_gone));
+    host.must_be(DriverState::Moving);
+    let link = host_link();
+    let config = Pa10ArmConfig::new("second", DriverConfig::with_cycle(link.cycle), link);
+    let (connector_of_second, seat) = (connector(), trip_line(1).unwrap().remove(0));
+    let open = move || Pa10Arm::open(config, connector_of_second, Arc::new(SystemClock::new()), seat).err();
+    let opening = std::thread::spawn(open);
+    assert!(host.run_for(LONG, |_| opening.is_finished()));
+    let refused = opening.join().unwrap().expect("a second arm was opened");
+    assert!(matches!(&refused, ArmOpenError::Connect { source: RequestError::Gateway(_), .. }), "{refused:?}");
     host.must_be(DriverState::Moving);
     // As after kill -9 of the host.
     drop(host);

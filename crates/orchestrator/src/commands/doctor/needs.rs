@@ -33,6 +33,8 @@ pub(super) struct Needs {
     pub(super) unknown_signals: Option<Vec<String>>,
     /// What is wrong with the keys of TCP lines; `None` without such a line.
     pub(super) keys: Option<Result<(), String>>,
+    /// What is wrong with the sockets of lines on this computer; `None` without such a line.
+    pub(super) sockets: Option<Result<(), String>>,
     /// ARCNET interfaces.
     pub(super) arcnet: Vec<String>,
     /// Needed cameras of this computer.
@@ -86,6 +88,7 @@ impl Needs {
             serial: None,
             unknown_signals: None,
             keys: None,
+            sockets: None,
             arcnet: Vec::new(),
             cameras: Cameras::Perhaps,
             nominal_calibration: None,
@@ -137,12 +140,16 @@ impl Needs {
     }
 
     fn of_setup(config: &SetupArgs, setup: &Setup, recordings: PathBuf) -> Self {
-        let (mut serial, mut has_tcp) = (Vec::new(), false);
+        let (mut serial, mut has_tcp, mut sockets) = (Vec::new(), false, None);
         for link in [&setup.rig.arms.vs.link, &setup.rig.arms.tc.link] {
             match link {
                 ArmLink::Gateway(_, GatewayWay::Serial { path, .. }) => serial.push(path.clone()),
                 ArmLink::Gateway(_, GatewayWay::Tcp { .. }) => has_tcp = true,
-                ArmLink::InProcess | ArmLink::Gateway(_, GatewayWay::Emulated | GatewayWay::Local(_)) => {}
+                ArmLink::Gateway(_, GatewayWay::Local(local)) => {
+                    let checked = local.check_for_host().map_err(|why| why.to_string());
+                    sockets = Some(sockets.unwrap_or(Ok(())).and(checked));
+                }
+                ArmLink::InProcess | ArmLink::Gateway(_, GatewayWay::Emulated) => {}
             }
         }
         let arms = [&setup.rig.arms.vs, &setup.rig.arms.tc];
@@ -155,6 +162,7 @@ impl Needs {
                 && !(setup.rig.arms.vs.link.is_toy() && setup.rig.arms.tc.link.is_toy()),
             serial: Some(serial),
             keys: has_tcp.then(|| in_one_line(check_key_files(setup))),
+            sockets,
             cameras: setup.rig.real_cameras.as_ref().map_or(Cameras::NotNeeded, Cameras::of),
             nominal_calibration: setup.rig.nominal_calibration.clone(),
             recording_bytes_per_s: bytes_per_s(setup.rig.stereo.left().size(), setup.rig.frames.period),
@@ -164,12 +172,15 @@ impl Needs {
 
     fn of_gateway(file: &Path, recordings: PathBuf) -> Result<Self, ConfigError> {
         let gateway = read_gateway(file, None, None)?;
-        let (serial, keys) = match &gateway.host {
-            HostPlace::Serial(path) => (vec![path.clone()], None),
-            HostPlace::Local(_) => (Vec::new(), None),
-            HostPlace::Tcp(_) => (Vec::new(), Some(in_one_line(read_access(&gateway.access).map(drop)))),
-        };
         let general = Self::general(recordings);
+        let general = Self { serial: Some(Vec::new()), ..general };
+        let general = match &gateway.host {
+            HostPlace::Serial(path) => Self { serial: Some(vec![path.clone()]), ..general },
+            HostPlace::Local(local) => {
+                Self { sockets: Some(local.check_for_gateway().map_err(|why| why.to_string())), ..general }
+            }
+            HostPlace::Tcp(_) => Self { keys: Some(in_one_line(read_access(&gateway.access).map(drop))), ..general },
+        };
         let unknown = gateway.gateway.signals.unknown().map(|signal| format!("arm.signals.{}", signal.key()));
         Ok(Self {
             unknown_signals: Some(unknown.collect()),
@@ -177,8 +188,6 @@ impl Needs {
             is_gateway: true,
             priority: gateway.realtime.priority.unwrap_or(general.priority),
             needs_realtime: true,
-            serial: Some(serial),
-            keys,
             arcnet: interface(&gateway.bus).into_iter().collect(),
             cameras: Cameras::NotNeeded,
             recordings: None,

@@ -492,6 +492,41 @@ fn keys_of_tcp_lines_are_for_this_user_alone() {
 }
 
 #[test]
+fn sockets_between_host_and_gateway_are_there_or_can_be_made() {
+    let folder = tempfile::tempdir().unwrap();
+    let in_folder = |name: &str| folder.path().join(name);
+    let configs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs");
+    let gateway = fs::read_to_string(configs.join("gateway.toml")).unwrap();
+    fs::write(in_folder("arm1.toml"), gateway.replace("tcp:127.0.0.1:4534", "local:run/arm1.sock")).unwrap();
+    let arm = |line: &str| match line.split_once(" = ").map_or("", |(key, _)| key) {
+        "backend" => "backend = \"local\"".to_owned(),
+        "port" => {
+            format!("socket = {:?}", in_folder(if line.contains("ARM1") { "run/arm1.sock" } else { "run/arm2.sock" }))
+        }
+        "baud" => String::new(),
+        _ => line.replace("../", concat!(env!("CARGO_MANIFEST_DIR"), "/../../")),
+    };
+    let setup = fs::read_to_string(configs.join("rig.toml")).unwrap();
+    fs::write(in_folder("host.toml"), setup.lines().map(arm).collect::<Vec<_>>().join("\n")).unwrap();
+    let host = SetupArgs::of_file(&in_folder("host.toml"));
+    let of = |config: &SetupArgs| Needs::of_config(config, PathBuf::from("out")).unwrap().sockets.unwrap();
+    let of_gateway = || of(&SetupArgs::of_file(&in_folder("arm1.toml")));
+    assert!(of_gateway().unwrap_err().contains("run does not exist"));
+    fs::create_dir(in_folder("run")).unwrap();
+    fs::set_permissions(in_folder("run"), fs::Permissions::from_mode(0o755)).unwrap();
+    assert_eq!(of_gateway(), Ok(()));
+    assert!(of(&host).unwrap_err().contains("no program listens"));
+    fs::write(in_folder("run/arm1.sock"), "").unwrap();
+    assert!(of(&host).unwrap_err().contains("a file") && of_gateway().unwrap_err().contains("a file"));
+    fs::remove_file(in_folder("run/arm1.sock")).unwrap();
+    let sockets = ["run/arm1.sock", "run/arm2.sock"];
+    let _gateways = sockets.map(|name| std::os::unix::net::UnixListener::bind(in_folder(name)).unwrap());
+    assert_eq!([of(&host), of_gateway()], [Ok(()), Ok(())]);
+    let needs = Needs { sockets: Some(Err("nobody".to_owned())), ..rig() };
+    only(&Fake::good(), &needs, "local sockets", Verdict::Fail, "nobody", "docs/gateway.md");
+}
+
+#[test]
 fn a_gateway_unit_with_a_wider_sandbox_is_found() {
     let check = "gateway service";
     let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/deploy/pb3dp-gateway@.service");
