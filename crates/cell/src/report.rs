@@ -300,13 +300,15 @@ fn orientation(summary: &RunSummary) -> (&'static str, Option<RmsMax>) {
 }
 
 fn figures(summary: &RunSummary) -> Vec<(&'static str, String)> {
-    let rms = |value: Option<RmsMax>, unit: &str| value.map_or("-".into(), |v| format!("{:.1} {unit}", v.rms));
+    let rms = |value: Option<RmsMax>, unit: &str| {
+        value.map_or("-".into(), |v| format!("{:.1} {unit}, at most {:.1}", v.rms, v.max))
+    };
     let median = |value: Option<MedianP95>, unit: &str| value.map_or("-".into(), |v| format!("{:.2} {unit}", v.median));
     let (orientation_name, orientation) = orientation(summary);
     vec![
         ("hand position error, rms", rms(summary.tracking_position_mm, "mm")),
         (orientation_name, rms(orientation, "deg")),
-        ("lag, median over the axes", summary.lag_s.map_or("-".into(), |lag| format!("{lag:.2} s"))),
+        ("lag, median over the axes", summary.lag_s.map_or("-".into(), |lag_s| format!("{:.0} ms", lag_s * 1e3))),
         ("estimated depth, median error", median(summary.estimation_depth_mm, "mm")),
         ("estimated normal, median error", median(summary.estimation_normal_deg, "deg")),
         ("frame to estimate, p50", summary.latency_p50_millis.map_or("-".into(), |ms| format!("{ms:.1} ms"))),
@@ -403,7 +405,7 @@ fn channel_table(summary: &RunSummary) -> Table {
         ("moving, max", |c| c.moving.map(|e| e.max)),
         ("hold, rms", |c| c.hold.map(|e| e.rms)),
         ("hold, max", |c| c.hold.map(|e| e.max)),
-        ("lag, s", |c| c.lag_s),
+        ("lag, ms", |c| c.lag_s.map(|lag_s| lag_s * 1e3)),
         ("rise delay, s", |c| c.rise_delay_s),
         ("gain, dB", |c| c.gain_db),
         ("phase, deg", |c| c.phase_deg),
@@ -434,12 +436,9 @@ fn locked_table(summary: &RunSummary) -> Table {
 /// Text about the initial pose error.
 fn lock_note(summary: &RunSummary) -> String {
     let Some(lock) = &summary.lock else { return summary.why_no_lock().to_owned() };
-    let stated = match lock.tilt_sigma_deg.zip(lock.hand_by_tilt_sigma_mm) {
-        Some((deg, mm)) => {
-            format!("; stated standard deviation: {mm:.1} mm at the hand, {deg:.2} deg tilt")
-        }
-        None => String::new(),
-    };
+    let stated = lock.tilt_sigma_deg.zip(lock.hand_by_tilt_sigma_mm).map_or_else(String::new, |(deg, mm)| {
+        format!("; stated standard deviation: {mm:.1} mm at the hand, {deg:.2} deg tilt")
+    });
     let (hand, tilt) = (lock.hand_mm, lock.tilt_deg);
     format!("Initial pose error: {hand:.1} mm at the hand, {tilt:.2} deg tilt{stated}.")
 }

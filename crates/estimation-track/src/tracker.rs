@@ -303,8 +303,9 @@ impl DirectTracker {
                     "found again where it was not expected: the next pair has to confirm it; except for that, ",
                 );
             }
+            let covariances = [target.covariance.as_ref(), target.first_pose_covariance.as_ref()];
             (out.status, out.observed) =
-                self.judge_covariance(target.covariance.as_ref(), pose.translation_m().norm(), &mut out.reason);
+                self.judge_covariance(covariances, pose.translation_m().norm(), &mut out.reason);
             out.rotation_about_normal_observed = out.observed.is_none_or(|observed| observed[5]);
             if doubt_m.is_some() || target.is_unverified {
                 out.status = Status::Ambiguous;

@@ -123,6 +123,9 @@ fn every_frame_has_the_error_of_the_first_pose_and_the_sum() {
         assert_eq!(later.first_pose_covariance, Some(first));
         assert_eq!(later.pose_covariance, Some(first + own));
         assert_eq!(later.calibration, None);
+        let first_deg = (first[(3, 3)] + first[(4, 4)]).sqrt().to_degrees();
+        let says = later.reason.contains(&format!("that of the first pair is {first_deg:.2} degrees"));
+        assert_eq!(says, own[(3, 3)] + own[(4, 4)] < first[(3, 3)] + first[(4, 4)], "{}", later.reason);
         let plane = SurfaceEstimate { surface_from_model: Pose::coincident(), covariance: first, version: 0 };
         assert_eq!(later.surface, Some(plane), "of a plane, later pairs show nothing else");
     }

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser};
 use pb3dp_orchestrator::cli::{Cli, Command};
 use pb3dp_orchestrator::{commands, logging, panics};
-use pb3dp_wiring::message_codes::{error_text, option_of, spell_arguments};
+use pb3dp_wiring::message_codes::{error_text, key_of, option_of, spell_arguments};
 
 const PROGRAM: pb3dp_commissioning::Program =
     pb3dp_commissioning::Program { commit: pb3dp_orchestrator::COMMIT, final_flush: logging::final_flush };
@@ -15,8 +15,9 @@ const PROGRAM: pb3dp_commissioning::Program =
 const USAGE: u8 = 2;
 
 fn main() -> ExitCode {
-    spell_arguments(option_of);
     let cli = Cli::parse();
+    let reads_setup = matches!(cli.command, Command::Run(_) | Command::Replay(_) | Command::Identify(_));
+    spell_arguments(if reads_setup { key_of } else { option_of });
     // Lives until the end, also after a panic.
     let _log = match logging::init(cli.log_format, cli.filter()) {
         Ok(log) => log,

@@ -21,6 +21,17 @@ pub fn option_of(argument: Argument) -> &'static str {
     }
 }
 
+/// The same for a program that reads these values from a setup.
+pub fn key_of(argument: Argument) -> &'static str {
+    match argument {
+        Argument::DepthRange => "estimator.z_min_mm, estimator.z_max_mm",
+        Argument::TiltLimit => "estimator.tilt_max_deg",
+        Argument::VisibleSurface => "--surface of `pb3dp estimate`",
+        Argument::Skew => "--skew of `pb3dp track`",
+        Argument::Rectified => "--rectified of `pb3dp track`",
+    }
+}
+
 /// All tables, in the order of the reference.
 pub fn tables() -> Vec<CodeTable> {
     let of_devices = [
@@ -83,6 +94,7 @@ mod tests {
 
     use anyhow::Context;
     use pb3dp_hal_api::{ArmError, ArmErrorKind};
+    use pb3dp_setup::explain::explain;
     use pb3dp_setup::setup::read_setup;
 
     use super::*;
@@ -101,6 +113,15 @@ mod tests {
             }
         }
         assert!(unique.len() > 100, "{}", unique.len());
+    }
+
+    #[test]
+    fn a_message_of_a_run_names_keys_that_exist() {
+        for argument in Argument::ALL {
+            let keys: Vec<&str> = key_of(argument).split(", ").filter(|name| name.contains('.')).collect();
+            assert!(keys.iter().all(|key| explain(key).is_ok_and(|found| found[0].key == *key)), "{keys:?}");
+            assert_eq!(keys.is_empty(), key_of(argument).starts_with("--"));
+        }
     }
 
     #[test]

@@ -124,10 +124,11 @@ impl DirectTracker {
         first
     }
 
-    /// Status, and which directions are observed, by the standard deviations of the six directions.
+    /// Status, and which directions are observed, by the standard deviations of the six directions: of the motion since the first pair. What
+    /// that pair itself leaves open is in the reason.
     pub(super) fn judge_covariance(
         &self,
-        covariance: Option<&Matrix6<f64>>,
+        [covariance, of_first]: [Option<&Matrix6<f64>>; 2],
         distance_m: f64,
         reason: &mut String,
     ) -> (Status, Option<[bool; 6]>) {
@@ -137,15 +138,19 @@ impl DirectTracker {
             return (Status::WeakTilt, None);
         };
         let sigma = |axis: usize| covariance[(axis, axis)].sqrt();
+        let tilt_deg_of = |covariance: &Matrix6<f64>| (covariance[(3, 3)] + covariance[(4, 4)]).sqrt().to_degrees();
         let most = |axis: usize| if axis < 3 { SHIFT_SIGMA_SURE * distance_m } else { limit.to_radians() };
         let observed: [bool; 6] = std::array::from_fn(|axis| sigma(axis) <= most(axis));
-        let tilt_deg = sigma(3).hypot(sigma(4)).to_degrees();
+        let tilt_deg = tilt_deg_of(covariance);
         let (sure, verb) = if tilt_deg <= limit { (true, "is determined") } else { (false, "is not determined") };
         // Writing into a string cannot fail.
         let _ = write!(
             reason,
-            "the normal's standard deviation is {tilt_deg:.2} degrees (limit {limit:.2}): the tilt {verb}"
+            "the normal's standard deviation since the first pair is {tilt_deg:.2} degrees (limit {limit:.2}): the tilt {verb}"
         );
+        if let Some(first_deg) = of_first.map(tilt_deg_of).filter(|first_deg| *first_deg > tilt_deg) {
+            let _ = write!(reason, "; that of the first pair is {first_deg:.2} degrees");
+        }
         let [x, y, depth, _, _, spin] = observed;
         if !(x && y && depth && spin) {
             reason.push_str("; the images do not show");

@@ -117,6 +117,18 @@ fn the_method_of_the_paper_is_found_by_name() {
     assert!(lines.iter().all(|line| line["method"] == "published"), "{lines:?}");
 }
 
+#[test]
+fn images_of_earlier_calls_are_mentioned_and_stay() {
+    let dir = tempfile::tempdir().unwrap();
+    let old = dir.path().join("old.png");
+    std::fs::write(&old, "mine").unwrap();
+    let case = folders(&real_cases()).remove(0);
+    let estimate = || pb3dp(&words(&[&"estimate", &"--cases", &case, &"--overlay", &dir.path()])).assert_success();
+    assert!(estimate().stderr.contains("images of earlier calls are there (1)"));
+    assert!(estimate().stderr.contains("images of earlier calls are there (2)"));
+    assert_eq!(std::fs::read(&old).unwrap(), b"mine");
+}
+
 /// The lines of the real cases, with one image for each and a table of errors.
 fn real_cases_with(arguments: &[&str]) -> Vec<Value> {
     let dir = tempfile::tempdir().unwrap();
