@@ -74,7 +74,10 @@ pub fn run(args: &GatewayArgs) -> Result<ExitCode> {
     let config = match (&args.task, &args.config) {
         (Some(GatewayTask::Key { file }), _) => {
             write_new_key(file)?;
-            tracing::info!("new key in {}: copy it to the computers of the hosts, as their `key_file`", file.display());
+            tracing::info!(
+                "new key in {}: for an arm, copy it to the computers of the hosts, as their `key_file`; for a panel, name it in --panel-token",
+                file.display()
+            );
             return Ok(ExitCode::SUCCESS);
         }
         (None, Some(config)) => config,

@@ -2,23 +2,19 @@
 
 use std::fmt;
 
-/// A session: the client that knows it commands, while it holds the lease.
+/// Random bytes that are hard to guess, written in hexadecimal digits.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub struct Session([u8; 16]);
+pub struct Secret<const BYTES: usize>([u8; BYTES]);
+
+/// A session: the client that knows it commands, while it holds the lease.
+pub type Session = Secret<16>;
 
 /// A nonce of a heartbeat.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub struct Nonce([u8; 8]);
+pub type Nonce = Secret<8>;
 
-impl fmt::Debug for Session {
+impl<const BYTES: usize> fmt::Debug for Secret<BYTES> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("Session(..)")
-    }
-}
-
-impl fmt::Debug for Nonce {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("Nonce(..)")
+        f.write_str("Secret(..)")
     }
 }
 
@@ -38,44 +34,30 @@ impl Random for SystemRandom {
     }
 }
 
-impl Session {
-    /// A new session; `None` without random bytes.
+impl<const BYTES: usize> Secret<BYTES> {
+    /// A new one; `None` without random bytes.
     pub fn new(random: &mut dyn Random) -> Option<Self> {
-        let mut bytes = [0; 16];
+        let mut bytes = [0; BYTES];
         random.fill(&mut bytes).then_some(Self(bytes))
     }
 
-    /// Reads 32 hexadecimal digits.
+    /// Reads two hexadecimal digits for each byte.
     pub fn from_hex(text: &str) -> Option<Self> {
-        from_hex(text).map(Self)
+        let text = text.as_bytes();
+        if text.len() != 2 * BYTES {
+            return None;
+        }
+        let mut bytes = [0; BYTES];
+        for (byte, digits) in bytes.iter_mut().zip(text.chunks_exact(2)) {
+            let digit = |at: usize| char::from(digits[at]).to_digit(16);
+            *byte = u8::try_from(digit(0)? * 16 + digit(1)?).ok()?;
+        }
+        Some(Self(bytes))
     }
 
-    /// 32 hexadecimal digits.
+    /// Two hexadecimal digits for each byte.
     pub fn to_hex(self) -> String {
-        to_hex(&self.0)
-    }
-
-    /// Compares in constant time.
-    pub fn is(&self, other: &Self) -> bool {
-        is_same(&self.0, &other.0)
-    }
-}
-
-impl Nonce {
-    /// A new nonce; `None` without random bytes.
-    pub fn new(random: &mut dyn Random) -> Option<Self> {
-        let mut bytes = [0; 8];
-        random.fill(&mut bytes).then_some(Self(bytes))
-    }
-
-    /// Reads 16 hexadecimal digits.
-    pub fn from_hex(text: &str) -> Option<Self> {
-        from_hex(text).map(Self)
-    }
-
-    /// 16 hexadecimal digits.
-    pub fn to_hex(self) -> String {
-        to_hex(&self.0)
+        self.0.iter().map(|byte| format!("{byte:02x}")).collect()
     }
 
     /// Compares in constant time.
@@ -88,23 +70,6 @@ impl Nonce {
 pub fn is_same(a: &[u8], b: &[u8]) -> bool {
     let differences = a.iter().zip(b).fold(0, |all, (a, b)| std::hint::black_box(all | (a ^ b)));
     a.len() == b.len() && differences == 0
-}
-
-fn to_hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
-}
-
-fn from_hex<const N: usize>(text: &str) -> Option<[u8; N]> {
-    let text = text.as_bytes();
-    if text.len() != 2 * N {
-        return None;
-    }
-    let mut bytes = [0; N];
-    for (byte, digits) in bytes.iter_mut().zip(text.chunks_exact(2)) {
-        let digit = |at: usize| char::from(digits[at]).to_digit(16);
-        *byte = u8::try_from(digit(0)? * 16 + digit(1)?).ok()?;
-    }
-    Some(bytes)
 }
 
 #[cfg(test)]
@@ -124,7 +89,7 @@ mod tests {
     #[test]
     fn a_token_is_never_printed() {
         let session = Session::from_hex("000102030405060708090a0b0c0d0e0f").unwrap();
-        assert_eq!(format!("{session:?}"), "Session(..)");
+        assert_eq!(format!("{session:?}"), "Secret(..)");
         assert!(is_same(b"abc", b"abc") && !is_same(b"abc", b"abd") && !is_same(b"abc", b"ab"));
     }
 }

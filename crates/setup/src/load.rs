@@ -157,8 +157,10 @@ impl ConfigFile {
         }
         if self.wanted == FileKind::Setup && missing > 0 && !self.layers.has_base() {
             lines.push(
-                "  add the first line base = \"sim\" to take all other values from this built-in setup (also: hil)"
-                    .to_owned(),
+                format!(
+                    "  add the first line base = \"sim\" to take all other values from this built-in setup; the others are {}",
+                    built_in::SETUPS.iter().map(|setup| setup.name).filter(|name| *name != "sim").collect::<Vec<_>>().join(", ")
+                ),
             );
         }
         Err(ConfigError::Values { file, lines: lines.join("\n") })

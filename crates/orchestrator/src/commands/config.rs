@@ -114,7 +114,19 @@ pub fn run(args: &ConfigArgs) -> Result<ExitCode> {
     }
 }
 
+/// Warns of keys that no setup has: values are shown as they are stated, also those of a setup that is not complete.
+fn warn_of_unknown_keys(setup: &SetupArgs) -> Result<()> {
+    let checked = match is_for_cameras_only(setup)? {
+        true => read_cameras(setup).map(drop),
+        false => read_layers(setup).map(drop),
+    };
+    let why = checked.err().map(|why| why.to_string()).unwrap_or_default();
+    why.lines().filter(|line| line.contains("unknown key")).for_each(|line| tracing::warn!("{}", line.trim()));
+    Ok(())
+}
+
 fn show(args: &ShowArgs) -> Result<ExitCode> {
+    warn_of_unknown_keys(&args.setup)?;
     let all = Layers::read(&args.setup)?.effective();
     let is_wanted =
         |setting: &&Effective| args.keys.is_empty() || args.keys.iter().any(|key| is_within(&setting.key, key));

@@ -27,7 +27,11 @@ fn values_for_programs_have_the_types_of_json() {
         assert_eq!(shown.code, Some(0), "{shown:?}");
         let values: serde_json::Value = serde_json::from_str(&shown.stdout).unwrap();
         assert!(values.as_object().unwrap().len() > 50, "{setup}");
+        assert_eq!(shown.stderr, "", "{setup}");
     }
+    let mistyped = config(&["show", "--config", "sim", "--set", "scene.taget=card"]);
+    let warns = mistyped.stderr.contains("scene.taget: unknown key; did you mean target?");
+    assert!(warns && mistyped.code == Some(0), "{mistyped:?}");
     let shown = config(&["show", "--config", "sim", "--set", "run.seed=7", "--json"]);
     let values: serde_json::Value = serde_json::from_str(&shown.stdout).unwrap();
     assert_eq!(values["run.seed"], serde_json::json!({ "value": 7, "origin": "--set" }));
