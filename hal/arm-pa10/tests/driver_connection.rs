@@ -115,6 +115,12 @@ fn a_configuration_that_is_unsafe_is_refused() {
     assert!(matches!(refused(|c| c.torque_for = ms(201)), DriverConfigError::TorqueFor { .. }));
     assert!(matches!(refused(|c| c.owner_timeout = ms(50)), DriverConfigError::OwnerTimeout { .. }));
     assert!(matches!(refused(|c| c.owner_timeout = ms(10_001)), DriverConfigError::OwnerTimeout { .. }));
+    let accepts = |change: fn(&mut DriverConfig)| {
+        let mut config = good;
+        change(&mut config);
+        Driver::new(config).is_ok()
+    };
+    assert!(accepts(|c| c.torque_for = ms(200)) && accepts(|c| c.owner_timeout = ms(10_000)));
     // 2 rad/s at 0.2 rad/s^2 take as long as the time limit of an activity, without the brakes.
     assert!(matches!(refused(|c| c.deceleration_rad_per_s2[2] = 0.2), DriverConfigError::StopTimeout { joint: 2, .. }));
     let error = refused(|c| c.deceleration_rad_per_s2[6] = 1e-300);

@@ -487,7 +487,10 @@ fn remedy(cause: &Cause) -> &'static str {
         Condition::ArmFault => "remove the cause",
         Condition::ArmDisabled => "wait until the drives are enabled, or use select, which enables them",
         Condition::ClockStepped => "find what delays this computer or sets its clock",
-        Condition::OperatorSilent => "press Enter at the console, or keep the page of the panel visible and connected",
+        Condition::OperatorSilent => {
+            "press Enter at the console, or keep the page of the panel visible and connected; a script sends heartbeats \
+             (docs/reference/panel-api.md)"
+        }
         Condition::JointsStale => "check the link to the arm",
         Condition::TargetChanged => "select the target again",
         // At the start of a normal run the first image has not arrived yet.
