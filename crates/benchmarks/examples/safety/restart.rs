@@ -48,16 +48,18 @@ impl Restart {
         }
     }
 
-    /// Waits until a new host is connected to both arms, which it leaves disabled; none if the operator gives up before the end of the run.
+    /// Waits until a new host is connected to both arms, which it leaves disabled, with the time of the run for which the faults of its
+    /// camera are planned, seconds; none if the operator gives up before the end of the run.
     ///
     /// # Errors
     /// If its setup cannot be built.
-    pub fn next_host(&self, stage: &Stage<'_>) -> Result<Option<(Setup, Wired)>> {
+    pub fn next_host(&self, stage: &Stage<'_>) -> Result<Option<(Setup, f64, Wired)>> {
         stage.wait(self.after_s);
         for attempt in 0..ATTEMPTS_MAX {
-            let setup = self.setup(stage)?;
+            let planned_s = stage.t_s();
+            let setup = self.setup(stage, planned_s)?;
             match connected(stage, &setup) {
-                Ok(wired) => return Ok(Some((setup, wired))),
+                Ok(wired) => return Ok(Some((setup, planned_s, wired))),
                 Err(refusal) => stage.note(&format!("a new host is refused: {refusal:#}")),
             }
             for (arm, name) in ARM_NAMES.into_iter().enumerate() {
@@ -74,8 +76,8 @@ impl Restart {
         Ok(None)
     }
 
-    fn setup(&self, stage: &Stage<'_>) -> Result<Setup> {
-        let mut setup = setup_of(stage.base, stage.scenario, stage.t_s())?;
+    fn setup(&self, stage: &Stage<'_>, planned_s: f64) -> Result<Setup> {
+        let mut setup = setup_of(stage.base, stage.scenario, planned_s)?;
         if self.begins_here {
             let arms = [&mut setup.rig.arms.vs, &mut setup.rig.arms.tc];
             for (arm, start_rad) in arms.into_iter().zip(stage.joints_rad()) {

@@ -126,19 +126,19 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
     let log = ProgramLog::new(Arc::clone(&clock));
     let stage = Stage { base, scenario, clock, recorder, cell, world, log };
     let experiment = Arc::clone(&parts.experiment);
-    let mut first = Host::new(&stage, (&setup, &*experiment), parts, Happening::new(scenario))?;
+    let mut first = Host::new(&stage, (&setup, -cameras::LEAD_S, &*experiment), parts, Happening::new(scenario))?;
     let mut ended = first.run(&stage);
     let lead_s = (!scenario.disturbs_enabling()).then(|| first.writing.begin.seconds_since(first.writing.wired));
     let zero = first.writing.zero;
     if let Some(restart) = scenario.restart.filter(|_| first.faulty.happening.has_died) {
         // The arms of the dead host stay until the next one has connected: they work off what happens at the far ends.
-        if let Some((setup, Wired { parts, monitors, .. })) = restart.next_host(&stage)? {
+        if let Some((setup, planned_s, Wired { parts, monitors, .. })) = restart.next_host(&stage)? {
             lock(&stage.recorder).connected(by_arm(monitors), parts.cell.clone());
             stage.log.set_closed(false);
             let happening = std::mem::take(&mut first.faulty.happening);
             drop(first);
             let experiment = Arc::clone(&parts.experiment);
-            let mut second = Host::new(&stage, (&setup, &*experiment), parts, happening)?;
+            let mut second = Host::new(&stage, (&setup, planned_s, &*experiment), parts, happening)?;
             ended = second.run(&stage);
             return Ok(afterwards(&stage, (lead_s, stage.log.take(zero)), ended));
         }
@@ -169,9 +169,10 @@ struct Host<'a> {
 }
 
 impl<'a> Host<'a> {
+    /// `planned_s`: time of the scenario for which the faults of the camera are planned, which starts now.
     fn new(
         stage: &Stage<'a>,
-        (setup, experiment): (&'a Setup, &'a dyn Trajectory),
+        (setup, planned_s, experiment): (&'a Setup, f64, &'a dyn Trajectory),
         parts: Parts,
         happening: Happening,
     ) -> Result<Self> {
@@ -186,11 +187,7 @@ impl<'a> Host<'a> {
         let moving = Moving::new(setup, (parts.vs, parts.tc), experiment, now)?.with_operator(operator);
         let (cell, interrupt) = (parts.cell, Arc::new(AtomicBool::new(false)));
         let zero = happening.zero.unwrap_or(now);
-        let noticing = CameraFaults {
-            scenario,
-            recorder: Arc::clone(recorder),
-            zero: happening.zero.unwrap_or(now + Duration::from_secs_f64(cameras::LEAD_S)),
-        };
+        let noticing = CameraFaults { scenario, recorder: Arc::clone(recorder), started: now, planned_s };
         let camera = Camera { capturing, clock: Arc::clone(clock), faults: noticing.clone() };
         let vision_watcher = VisionWatcher {
             estimating,
@@ -406,14 +403,16 @@ impl Writing<'_> {
 struct CameraFaults<'a> {
     scenario: &'a Scenario,
     recorder: Shared,
-    /// The planned time zero of the scenario, to which camera faults refer.
-    zero: MonotonicTime,
+    /// When the camera started, and the time of the scenario for which its faults are planned: the arms of a new host are connected
+    /// between the two.
+    started: MonotonicTime,
+    planned_s: f64,
 }
 
 impl CameraFaults<'_> {
     /// Records the effect of camera faults on the frame pair that is due now.
     fn note(&self, newest: Option<&Percept>, now: MonotonicTime) {
-        let t_s = lock(&self.recorder).t_s(now);
+        let t_s = self.planned_s + now.seconds_since(self.started);
         let is_spoiled = newest.is_none_or(|percept| percept.estimate.confidence != Confidence::Sure);
         for (index, fault) in self.scenario.faults.iter().enumerate().filter(|(_, fault)| fault.is_on(t_s)) {
             let Kind::Camera(kind) = fault.kind else { continue };
@@ -422,7 +421,7 @@ impl CameraFaults<'_> {
                 recorder.touched(index);
             }
             // A frozen camera delivers no new image, whatever frame number it reports.
-            let exposed_s = newest.map(|percept| since_s(percept.frame.at, self.zero));
+            let exposed_s = newest.map(|percept| self.planned_s + since_s(percept.frame.at, self.started));
             if let (Some(percept), true, CameraFaultKind::Frozen) =
                 (newest, exposed_s.is_some_and(|exposed_s| fault.is_on(exposed_s)), kind)
             {
