@@ -176,7 +176,7 @@ fn cause(text: &str) -> String {
         }
         short.push_str(part);
     }
-    short.chars().take(110).collect()
+    short.chars().take(140).collect()
 }
 
 #[cfg(test)]

@@ -276,8 +276,8 @@ impl GatewaySection {
                 GatewayWay::Serial { path: path.clone(), baud: whole(baud) }
             }
             (ArmBackend::Local, None, None, None, Some(socket)) => {
-                // A path that is not absolute stands below the folder of its file here.
-                if let Some((_, path)) = socket.split_once("local:") {
+                // Such a text is no absolute path, so it stands below the folder of its file here.
+                if let Some((_, path)) = socket.split_once("/local:") {
                     let stated = format!("local:{path}");
                     check.refuse(format!("{key}.gateway.socket = {stated:?}: write the path alone, {path:?}"));
                 }
