@@ -6,20 +6,22 @@
 use pb3dp_estimation_core::estimate::{PlaneEstimate, SHIFT_SIGMA_SURE};
 use pb3dp_estimation_core::status::Status;
 
-/// Sets [`PlaneEstimate::observed`]. A depth that is not determined makes the estimate `ambiguous`; a tilt that is not determined has
-/// made it `weak-tilt` before.
+/// Sets [`PlaneEstimate::observed`]. A depth that is not determined makes the estimate `weak-depth`, and `ambiguous` if its deviation is
+/// unknown; a tilt that is not determined has made it `weak-tilt` before.
 pub(super) fn tell(estimate: &mut PlaneEstimate, tilt_sigma_max_deg: f64) {
     let frame = estimate.model_frame(&estimate.centroid_px);
     let Some((frame, covariance)) = frame.and_then(|frame| Some((frame, frame.covariance?))) else { return };
     let sigma = |axis: usize| covariance[(axis, axis)].sqrt();
     let distance_m = frame.cam_left_from_model.translation_m().norm();
-    let (z_sigma_m, z_sigma_max_m) = (estimate.z_sigma_m.unwrap_or(f64::INFINITY), SHIFT_SIGMA_SURE * distance_m);
-    let is_precise = z_sigma_m <= z_sigma_max_m;
-    if estimate.status.depth_is_sure() && !is_precise {
-        estimate.status = Status::Ambiguous;
+    let z_sigma_max_m = SHIFT_SIGMA_SURE * distance_m;
+    if estimate.status.depth_is_sure() && estimate.z_sigma_m.is_none_or(|sigma_m| sigma_m > z_sigma_max_m) {
+        let (status, deviation) = match estimate.z_sigma_m {
+            Some(sigma_m) => (Status::WeakDepth, format!("a standard deviation of {:.1} mm", 1e3 * sigma_m)),
+            None => (Status::Ambiguous, "an unknown standard deviation".to_owned()),
+        };
+        estimate.status = status;
         estimate.reason.push_str(&format!(
-            "; the depth has a standard deviation of {:.1} mm (limit {:.1}): move the cameras nearer or apart, or mark a larger region",
-            1e3 * z_sigma_m,
+            "; the depth has {deviation} (limit {:.1} mm): move the cameras nearer or apart, or mark a larger region",
             1e3 * z_sigma_max_m
         ));
     }

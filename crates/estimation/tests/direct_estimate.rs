@@ -157,7 +157,7 @@ fn a_direction_that_a_pair_does_not_determine_is_named_and_not_ok() {
     assert_eq!(tilted.status, Status::WeakTilt, "{}", tilted.reason);
     assert_eq!(tilted.observed, Some([true, true, true, false, false, true]));
     let far = found(1.0, 90.0);
-    assert_eq!(far.status, Status::Ambiguous, "{}", far.reason);
+    assert_eq!(far.status, Status::WeakDepth, "{}", far.reason);
     assert_eq!(far.observed, Some([true, true, false, true, true, true]));
     assert!(far.reason.contains("depth has a standard deviation") && far.pose.is_some());
 }

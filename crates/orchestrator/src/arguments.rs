@@ -130,7 +130,7 @@ impl MethodArgs {
 const ESTIMATE_JSON: &str = "Lines of --json (one per case):
   schema_version    number of the form of results; rises when a word or key gets another meaning or goes away
   case, method      their names
-  status            ok, weak-tilt, ambiguous, miscalibrated, not-observable or error
+  status            ok, weak-tilt, weak-depth, ambiguous, miscalibrated, not-observable or error
   z_mm              depth of the plane on the ray of the region's centroid, millimetres, or null
   normal            3 numbers or null: unit normal of the plane along the axes of the left camera, towards the camera
   fitness           how well the images agree, at most 1, or null
@@ -203,7 +203,7 @@ const TRACK_JSON: &str =
   frame                counts from 0
   target               only if there are several: 0 is the target of the sequence, then those of --region in their order
   t_s                  mid-exposure, seconds
-  status               ok, weak-tilt, partly-observed, ambiguous, miscalibrated, not-observable, lost or error
+  status               ok, weak-tilt, partly-observed, weak-depth, ambiguous, miscalibrated, not-observable, lost or error
   cam_left_from_model  16 numbers, row by row, millimetres: maps the model's coordinates to the left camera's
   covariance           36 numbers, row by row, or null: of xi = (x, y, z in mm, then a rotation vector in radians), both
                        along the axes of the model, with true pose = cam_left_from_model * exp(xi): of the pose since the

@@ -60,7 +60,7 @@ impl Estimate {
 
 #[pymethods]
 impl Estimate {
-    /// `ok`, `weak-tilt`, `ambiguous`, `miscalibrated` or `not-observable`; treat a word that you do not know as not `ok`.
+    /// `ok`, `weak-tilt`, `weak-depth`, `ambiguous`, `miscalibrated` or `not-observable`; treat a word that you do not know as not `ok`.
     #[getter]
     fn status(&self) -> &'static str {
         self.estimate.status.as_str()

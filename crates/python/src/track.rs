@@ -39,7 +39,7 @@ impl TrackEstimate {
 
 #[pymethods]
 impl TrackEstimate {
-    /// `ok`, `weak-tilt`, `partly-observed`, `ambiguous`, `miscalibrated`, `not-observable` or `lost`; treat a word
+    /// `ok`, `weak-tilt`, `partly-observed`, `weak-depth`, `ambiguous`, `miscalibrated`, `not-observable` or `lost`; treat a word
     /// that you do not know as not `ok`.
     #[getter]
     fn status(&self) -> &'static str {

@@ -159,7 +159,7 @@ impl DirectTracker {
             }
         }
         let status = match (depth, x && y && spin) {
-            (false, _) => Status::Ambiguous,
+            (false, _) => Status::WeakDepth,
             (true, false) => Status::PartlyObserved,
             (true, true) if sure => Status::Ok,
             (true, true) => Status::WeakTilt,

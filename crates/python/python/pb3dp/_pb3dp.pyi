@@ -159,7 +159,7 @@ class Estimate:
         """The line that `pb3dp estimate --json` prints, in millimetres and milliseconds; `case` is the name in it."""
     @property
     def status(self) -> str:
-        """`ok`, `weak-tilt`, `ambiguous`, `miscalibrated` or `not-observable`; treat a word that you do not know as not `ok`."""
+        """`ok`, `weak-tilt`, `weak-depth`, `ambiguous`, `miscalibrated` or `not-observable`; treat a word that you do not know as not `ok`."""
     @property
     def reason(self) -> str:
         """What led to the status."""
@@ -290,7 +290,7 @@ class TrackEstimate:
         """The line that `pb3dp track --json` prints, in millimetres and milliseconds; `frame` is the number in it, and `t_s` the time, seconds."""
     @property
     def status(self) -> str:
-        """`ok`, `weak-tilt`, `partly-observed`, `ambiguous`, `miscalibrated`, `not-observable` or `lost`; treat a word
+        """`ok`, `weak-tilt`, `partly-observed`, `weak-depth`, `ambiguous`, `miscalibrated`, `not-observable` or `lost`; treat a word
         that you do not know as not `ok`.
         """
     @property
