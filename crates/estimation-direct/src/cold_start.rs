@@ -127,6 +127,10 @@ const BLUR_SIGMA_PX2: f64 = 0.2;
 /// of whole patches. Chosen with figures: on rendered shells of 10 mm the NEES is 0.7.
 const CONTINUED_SIGMA_PX: f64 = 0.05;
 
+/// Smallest share of the region that must support a plane on which it lies as a whole: the default of
+/// `direct.status.support_sure_min`.
+const WHOLE_AREA_MIN: f64 = 0.3;
+
 /// A candidate, refined down to the finest level.
 #[derive(Clone, Copy, Debug)]
 struct Descent {
@@ -223,6 +227,8 @@ impl ColdStart {
         let (centre, valid_share) = (self.pyramid.centroid_px(), self.search.valid_share);
         let plane_at_refined = at_refined.map(|found| self.pyramid.levels()[level].full_plane(&found.plane, centre));
         let reached = refined.map_or(patch_plane, |refined| refined.plane);
+        let searched = &self.pyramid.levels()[self.searched];
+        let pixels = self.search.pixels_for(searched, &searched.level_plane(&reached));
         let (mut widest, mut unlimited) = (None, None);
         if support_of(&finest) < self.config.choice.plane_support_min && may_continue() {
             if finest.mean_correlation >= self.config.choice.plane_correlation_min {
@@ -230,14 +236,13 @@ impl ColdStart {
             }
             unlimited = self.unlimited();
         }
-        let repeats_px = match support_of(&finest) < self.config.choice.whole_support_min && may_continue() {
+        let is_partial = !self.is_whole(&finest);
+        let repeats_px = match is_partial && may_continue() {
             true => self.repeats_px(&reached, source.disparity_px, front_end.geometry().disparity_offset_px),
             false => None,
         };
-        let nearby = refined.and_then(|refined| {
-            let is_partial = support_of(&finest) < self.config.choice.nearby_support_max;
-            if is_partial && may_continue() { self.nearby(&refined.plane) } else { None }
-        });
+        let nearby =
+            refined.and_then(|refined| if is_partial && may_continue() { self.nearby(&refined.plane) } else { None });
         let continued = if may_continue() { self.continued(&reached, support_of(&finest)) } else { None };
         Some(ColdStartOutcome {
             first,
@@ -245,6 +250,7 @@ impl ColdStart {
             alias,
             contender,
             valid_share,
+            pixels,
             finest,
             patch_plane,
             refined,
@@ -257,6 +263,11 @@ impl ColdStart {
             unlimited,
             repeats_px,
         })
+    }
+
+    /// Whether the region lies on the plane as a whole, but for parts without texture.
+    fn is_whole(&self, patches: &PatchOutcome) -> bool {
+        patches.support_share >= self.config.choice.whole_support_min && support_of(patches) >= WHOLE_AREA_MIN
     }
 
     /// Refines a plane, of a small region with its surroundings, if there is time; `None` without time or with too few points.
@@ -288,8 +299,7 @@ impl ColdStart {
         let Some(level) = self.pyramid.levels().first().filter(|level| level.scale == 1) else { return own };
         let area_px = self.pyramid.area_px();
         let is_small = area_px <= reach::SMALL_PX;
-        let is_whole = support_of(finest) >= self.config.choice.whole_support_min;
-        let may_grow = reach > 0 && (is_small || area_px <= reach::AREA_MAX_PX && is_whole);
+        let may_grow = reach > 0 && (is_small || area_px <= reach::AREA_MAX_PX && self.is_whole(finest));
         if !may_grow || !surroundings::are_wanted(&own, front_end.geometry(), is_small) {
             return own;
         }

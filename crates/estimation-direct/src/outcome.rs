@@ -4,6 +4,7 @@ use pb3dp_estimation_views::disparity_plane::DisparityPlane;
 
 use super::patches::PatchOutcome;
 use super::photometric::RefinedPlane;
+use super::search::PixelShares;
 
 /// Another surface, compared with the best one.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,6 +62,8 @@ pub struct ColdStartOutcome {
     pub contender: Option<Rival>,
     /// Share of the region's pixels with a clear disparity.
     pub valid_share: f64,
+    /// What single pixels say of the refined plane.
+    pub pixels: PixelShares,
     /// Patch result for the plane on the finest evaluated level.
     pub finest: PatchOutcome,
     /// The plane estimated by the patches.

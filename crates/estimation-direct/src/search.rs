@@ -28,6 +28,22 @@ pub(super) const NOISE_GREY: f32 = 2.0;
 /// Margin around the region's box that takes part in the aggregation, pixels. Chosen by hand, not varied: paths begin
 /// outside the region; time grows with it.
 const MARGIN: usize = 2;
+/// A pixel is on a plane within this disparity, pixels of the level.
+const ON_PLANE_PX: f32 = 1.0;
+/// It says so if it matches worse at this distance from the plane, pixels of the level, ...
+const APART_PX: f32 = 2.0;
+/// ... by this part of [`COST_NEUTRAL`]. Chosen with `agreement_min`; with 8 and 16 the same choice answers fewer.
+const CLEARLY: u8 = 4;
+
+/// What single pixels say of a plane, as shares of the region's pixels.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PixelShares {
+    /// Pixels that match on the plane, and worse beside it.
+    pub on_plane: f64,
+    /// Pixels that match elsewhere, and worse on the plane.
+    pub elsewhere: f64,
+}
+
 /// Parameters of the search.
 ///
 /// Penalties, tolerance, number kept and steps are those of the prototype of ADR 7, in which other penalties and more draws gave
@@ -276,6 +292,33 @@ impl PlaneSearch {
         inlier_share(&self.points, &coefficients(&self.volume, level, plane), tolerance_px, kernels)
     }
 
+    /// What single pixels say of a plane: of those with a clear disparity, the ones whose own neighbourhood matches better there than
+    /// elsewhere. Clear disparities bridge pixels that say nothing.
+    pub fn pixels_for(&self, level: &RegionLevel, plane: &LevelPlane) -> PixelShares {
+        let (volume, stride) = (&self.volume, level.left.window.width);
+        let (area, at_corner) = (volume.area, coefficients(volume, level, plane));
+        let (mut on_plane, mut elsewhere) = (0_usize, 0_usize);
+        for y in 0..area.height {
+            let inside = &level.region[(area.y + y) * stride + area.x..][..area.width];
+            let disparities = &self.aggregation.disparity[y * area.width..][..area.width];
+            for (x, (_, disparity)) in
+                inside.iter().zip(disparities).enumerate().filter(|(_, (inside, d))| **inside != 0 && d.is_finite())
+            {
+                let costs = &volume.costs[(y * area.width + x) * volume.stride..][..volume.count];
+                let on = at_corner.dot(&Vector3::new(1.0, x as f64, y as f64)) as f32;
+                let own = lowest_cost(costs, on);
+                if (disparity - on).abs() <= ON_PLANE_PX {
+                    let beside = [-APART_PX, APART_PX].map(|by| lowest_cost(costs, on + by));
+                    on_plane += usize::from(beside.iter().all(|cost| *cost >= own + CLEARLY));
+                } else {
+                    elsewhere += usize::from(own >= lowest_cost(costs, *disparity) + CLEARLY);
+                }
+            }
+        }
+        let share = |count: usize| count as f64 / level.area_px.max(1) as f64;
+        PixelShares { on_plane: share(on_plane), elsewhere: share(elsewhere) }
+    }
+
     /// Moves the best plane through all disparities. Other shifts at which the region as a whole agrees well become seeds. A
     /// repetitive texture has such shifts.
     fn sweep(
@@ -345,6 +388,15 @@ impl PlaneSearch {
         }
         push_peaks(&self.column, 4, &mut self.seeds);
     }
+}
+
+/// The lower cost of the two whole disparities around one; no agreement outside the searched ones.
+fn lowest_cost(costs: &[u8], disparity: f32) -> u8 {
+    let at = |index: f32| {
+        let known = if index >= 0.0 { costs.get(index as usize) } else { None };
+        known.copied().unwrap_or(COST_NEUTRAL)
+    };
+    at(disparity.floor()).min(at(disparity.ceil()))
 }
 
 /// The clear disparities of the region, row by row; NaN where there is none.

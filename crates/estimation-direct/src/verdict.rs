@@ -15,7 +15,7 @@ pub struct DirectVerdictConfig {
     /// Smallest share (0 to 1) of the region's pixels whose patch has texture and agrees with the plane, or whose own disparity
     /// does; below: `not-observable`. Default 0.15.
     pub support_min: f64,
-    /// Below this share the estimate is at best `ambiguous`, because the region is not planar. 0 to 1. Default 0.4.
+    /// Below this share the estimate is at best `ambiguous`, and without texture `not-observable`. 0 to 1. Default 0.3.
     pub support_sure_min: f64,
     /// An alternative explanation of the same pixels, inside or outside the range, with at least this share of the best score
     /// makes the estimate `ambiguous`, on the search level or on the finest level. 0 to 1. Default 0.85.
@@ -32,7 +32,7 @@ impl Default for DirectVerdictConfig {
     fn default() -> Self {
         Self {
             support_min: 0.15,
-            support_sure_min: 0.4,
+            support_sure_min: 0.3,
             alias_score_max: 0.85,
             second_share_max: 0.7,
             normal_sigma_max_deg: 5.0,
@@ -162,11 +162,11 @@ fn too_little(
 ) -> Option<Verdict> {
     let (textured, support) = (outcome.finest.textured_share, support_of(&outcome.finest));
     let sure_min = limits.support_sure_min;
-    if support >= sure_min {
+    if is_supported(outcome, limits, choice) {
         return None;
     }
-    if textured < choice.textured_min {
-        let (textured, limit) = (100.0 * textured, 100.0 * choice.textured_min);
+    if textured < sure_min {
+        let (textured, limit) = (100.0 * textured, 100.0 * sure_min);
         let evidence = format!("only {textured:.0} % of the region has texture (limit {limit:.0} %)");
         let reason = format!("{evidence}: choose a textured target or add light");
         return Some(Verdict { status: Status::NotObservable, reason });
@@ -177,16 +177,34 @@ fn too_little(
         true => (Status::NotObservable, 100.0 * limits.support_min),
         false => (Status::Ambiguous, 100.0 * sure_min),
     };
-    let evidence = format!("only {:.0} % of the region agrees with one plane (limit {limit:.0} %)", 100.0 * support);
+    let evidence = match support < sure_min || status == Status::NotObservable {
+        true => format!("only {:.0} % of the region agrees with one plane (limit {limit:.0} %)", 100.0 * support),
+        false => format!(
+            "{:.0} % of the region agrees with one plane, but only {:.0} % of what shows a depth (limit {:.0} %)",
+            100.0 * support,
+            100.0 * agreement(outcome),
+            100.0 * choice.agreement_min
+        ),
+    };
     Some(Verdict { status, reason: format!("{evidence}; {}", cause(outcome, searched, limits)) })
+}
+
+/// Share of what says anything of the plane that agrees with it; see [`SurfaceChoice::agreement_min`].
+fn agreement(outcome: &ColdStartOutcome) -> f64 {
+    let agreeing = support_of(&outcome.finest) + outcome.pixels.on_plane;
+    agreeing / (agreeing + outcome.pixels.elsewhere).max(f64::MIN_POSITIVE)
+}
+
+/// Whether enough of the region agrees with the plane, and enough of what says anything.
+fn is_supported(outcome: &ColdStartOutcome, limits: &DirectVerdictConfig, choice: &SurfaceChoice) -> bool {
+    support_of(&outcome.finest) >= limits.support_sure_min && agreement(outcome) >= choice.agreement_min
 }
 
 /// Whether the region has texture but too little of it agrees with one plane for a confident estimate, or its disparities
 /// scatter around every plane.
 pub(super) fn is_no_plane(outcome: &ColdStartOutcome, limits: &DirectVerdictConfig, choice: &SurfaceChoice) -> bool {
-    let sure_min = limits.support_sure_min;
-    let lacks_support = outcome.finest.textured_share >= choice.textured_min && support_of(&outcome.finest) < sure_min;
-    lies_spread(outcome) || lacks_support
+    let has_texture = outcome.finest.textured_share >= limits.support_sure_min;
+    lies_spread(outcome) || has_texture && !is_supported(outcome, limits, choice)
 }
 
 fn lies_spread(outcome: &ColdStartOutcome) -> bool {
@@ -304,6 +322,7 @@ mod tests {
     use super::*;
     use crate::outcome::Surface;
     use crate::patches::PatchOutcome;
+    use crate::search::PixelShares;
     use pb3dp_estimation_views::region_pyramid::LevelPlane;
 
     /// Patches that mix several surfaces support none of them; single disparities lie on the plane.
@@ -324,6 +343,7 @@ mod tests {
                 alias: None,
                 contender: None,
                 valid_share: 0.7,
+                pixels: PixelShares { on_plane: 0.7 * share, elsewhere: 0.7 * (1.0 - share) },
                 finest,
                 patch_plane: plane,
                 refined: None,

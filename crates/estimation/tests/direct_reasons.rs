@@ -10,6 +10,7 @@ use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate};
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
+use pb3dp_estimation_core::rng::SplitMix64;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
 use pb3dp_estimation_test_support::scene::{self, Scene};
@@ -283,7 +284,7 @@ fn the_width_of_an_edge_is_not_taken_for_a_sure_slope() {
     let depth = |disparity_px: f64| fb / (disparity_px + offset);
     let mut aware = DirectConfig::default();
     // Clear disparities of such a region contradict a wrong slope too; here the blur alone must suffice.
-    aware.cold_start.choice.nearby_support_max = 0.0;
+    aware.cold_start.choice.whole_support_min = 0.0;
     // So do the edges around the region.
     aware.cold_start.surroundings_px = 0;
     let mut unaware = aware.clone();
@@ -395,6 +396,32 @@ fn a_plane_that_has_little_of_the_region_is_not_sure() {
     assert!(!little.status.depth_is_sure(), "{} {}", little.status, little.reason);
     assert!(little.reason.contains("mark a flat part"), "{}", little.reason);
     assert_eq!(found(50).status, Status::Ok, "{}", found(50).reason);
+}
+
+/// Two stripes of texture across a blank sheet, which says nothing of its plane: they have less than two fifths of the region. Such sheets
+/// were called not flat.
+#[test]
+fn blank_parts_do_not_count_against_a_plane() {
+    let rig = scene::rectified_rig(SIZE);
+    let mut noise = SplitMix64::new(11);
+    let mut sheet = |shift_px: &dyn Fn(f64, f64) -> f64| {
+        RgbImage::from_fn(SIZE.width, SIZE.height, |u, v| {
+            let (x, v) = (f64::from(u) - shift_px(f64::from(u), f64::from(v)), f64::from(v));
+            let printed = (0.0..1.0).contains(&((v + 0.2 * x - 150.0) / 10.0).rem_euclid(9.0));
+            let grey = if printed { texture(x, v) } else { 150.0 };
+            Rgb([(grey + 1.5 * noise.normal()).round().clamp(0.0, 255.0) as u8; 3])
+        })
+    };
+    let disparity_px = |u: f64, v: f64| 128.0 + 0.03 * (u - 320.0) + 0.02 * (v - 240.0);
+    let (left, right) = (sheet(&disparity_px), sheet(&|_, _| 0.0));
+    let region = Region::Rectangle { x: 260, y: 190, width: 120, height: 110 };
+    let found = estimate(&rig, (&left, &right), &region, [0.35, 0.8, 60.0]);
+    assert_eq!(found.status, Status::Ok, "{}", found.reason);
+    let (fb, offset) = (rig.left().pinhole().fx * 0.1, rig.right().pinhole().cx - rig.left().pinhole().cx);
+    for (u, v) in [(260.0, 190.0), (379.0, 190.0), (260.0, 299.0), (379.0, 299.0)] {
+        let shown_px = fb / found.depth_at_pixel(&Vector2::new(u, v)).unwrap() - offset;
+        assert!((shown_px - disparity_px(u, v)).abs() < 0.1, "{shown_px} at {u} {v}");
+    }
 }
 
 /// Three fifths of the region are flat, and the surface bends away from them: the answer is the flat part.

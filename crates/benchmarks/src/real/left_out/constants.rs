@@ -73,7 +73,7 @@ fn places(config: &mut DirectConfig) -> [(&'static str, Place<'_>, [f64; 2]); CO
         ("patches.texture_min", Float(&mut patches.texture_min), [1.0, 3.0]),
         ("patches.gradient_half", Float(&mut patches.gradient_half), [0.5, 2.0]),
         ("status.support_min", Float(&mut verdict.support_min), [0.1, 0.2]),
-        ("status.support_sure_min", Float(&mut verdict.support_sure_min), [0.3, 0.5]),
+        ("status.support_sure_min", Float(&mut verdict.support_sure_min), [0.2, 0.4]),
         ("status.alias_score_max", Float(&mut verdict.alias_score_max), [0.75, 0.95]),
         ("status.second_share_max", Float(&mut verdict.second_share_max), [0.5, 0.8]),
         ("status.normal_sigma_max_deg", Float(&mut verdict.normal_sigma_max_deg), [3.5, 7.0]),
