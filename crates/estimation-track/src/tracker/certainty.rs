@@ -158,12 +158,34 @@ impl DirectTracker {
                 let _ = write!(reason, "{} {name}", if count == 0 { "" } else { "," });
             }
         }
-        let status = match (depth, x && y && spin) {
-            (false, _) => Status::WeakDepth,
-            (true, false) => Status::PartlyObserved,
-            (true, true) if sure => Status::Ok,
-            (true, true) => Status::WeakTilt,
-        };
-        (status, Some(observed))
+        (status_of(observed, sure), Some(observed))
+    }
+}
+
+/// The status by the directions that are observed, and whether the tilt is sure.
+fn status_of([x, y, depth, _, _, spin]: [bool; 6], tilt_is_sure: bool) -> Status {
+    match (depth, x && y && spin) {
+        (false, false) => Status::Ambiguous,
+        (false, true) => Status::WeakDepth,
+        (true, false) => Status::PartlyObserved,
+        (true, true) if tilt_is_sure => Status::Ok,
+        (true, true) => Status::WeakTilt,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_status_names_what_is_not_observed() {
+        let without =
+            |axes: &[usize], tilt_is_sure| status_of(std::array::from_fn(|i| !axes.contains(&i)), tilt_is_sure);
+        assert_eq!(without(&[], true), Status::Ok);
+        assert_eq!(without(&[3, 4], false), Status::WeakTilt);
+        assert_eq!([0, 1, 5].map(|axis| without(&[axis], true)), [Status::PartlyObserved; 3]);
+        assert_eq!(without(&[2], true), Status::WeakDepth);
+        assert_eq!(without(&[2, 3, 4], false), Status::WeakDepth);
+        assert_eq!([0, 1, 5].map(|axis| without(&[axis, 2], true)), [Status::Ambiguous; 3]);
     }
 }
