@@ -140,7 +140,7 @@ fn why(estimate: &TrackEstimate) -> String {
     let reason = &estimate.reason;
     let line = match estimate.status {
         Status::Ok => String::new(),
-        Status::WeakTilt => format!("the tilt is not determined: {reason}; choose a larger part with more texture"),
+        Status::WeakTilt => format!("{reason}; choose a larger part with more texture, and the tilt is determined"),
         Status::PartlyObserved => {
             format!("{reason}; choose a part with texture in all directions if the hand is to follow these, too")
         }

@@ -468,7 +468,9 @@ fn a_configuration_that_leaves_less_than_required_is_refused_by_name() {
     let refused = |config: GatewayConfig| Gateway::new(config, MonotonicTime::ZERO).unwrap_err();
     let watchdog = |ramp, stop| CommandWatchdog::new(ms(ramp), ms(stop)).unwrap();
     assert_eq!(refused(GatewayConfig { cycle: ms(11), ..good }), GatewayConfigError::Cycle { got: ms(11) });
-    assert_eq!(refused(GatewayConfig { brake_time: ms(0), ..good }), GatewayConfigError::BrakeTime { got: ms(0) });
+    for got in [ms(0), ms(5001)] {
+        assert_eq!(refused(GatewayConfig { brake_time: got, ..good }), GatewayConfigError::BrakeTime { got });
+    }
     for got in [ms(1), ms(50)] {
         let expected = GatewayConfigError::Lateness { got, cycle: ms(2), stop_after: ms(50) };
         assert_eq!(refused(GatewayConfig { lateness_allowed: got, ..good }), expected);

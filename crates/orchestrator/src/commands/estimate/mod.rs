@@ -60,7 +60,8 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
     let jobs: Vec<Source> = match (&args.cases, &args.sequence) {
         (Some(dir), _) => {
             let folders = find_cases(dir)?;
-            tracing::info!("{}: {} cases", dir.display(), folders.len());
+            let plural = if folders.len() == 1 { "" } else { "s" };
+            tracing::info!("{}: {} case{plural}", dir.display(), folders.len());
             folders.into_iter().map(Source::Case).collect()
         }
         (None, Some(path)) => vec![Source::Recording(path.clone(), args.frame)],
