@@ -145,3 +145,13 @@ fn what_the_arm_shows_afterwards_is_looked_at_by_the_reset() {
     bench.controller.servo[3] = ServoWord(0);
     assert!(matches!(bench.ask(control(ArmOperation::Reset)), GatewayMessage::ControlReply(_)));
 }
+
+/// Its controller has acknowledged that the brakes are on.
+#[test]
+fn an_idle_gateway_only_ends_the_control_mode() {
+    let mut bench = Bench::new();
+    bench.sent.clear();
+    abort(&mut bench);
+    bench.run(ms(60));
+    assert_eq!((bench.letters().as_str(), bench.state()), ("E", GatewayState::Fault));
+}
