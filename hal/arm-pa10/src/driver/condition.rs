@@ -561,3 +561,23 @@ impl std::fmt::Display for Trip {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_stop_of_a_gateway_has_its_own_advice() {
+        let advice_on = [
+            (StopCause::HostFault, "flight recorder"),
+            (StopCause::HostSilent, "ended, hung or lost the line"),
+            (StopCause::LimitExceeded, "[limits] in the gateway's file"),
+            (StopCause::LocalControl, "type `remote`"),
+            (StopCause::EmergencyStop, "remove the cause, then reset"),
+        ];
+        for (cause, advice) in advice_on {
+            let text = FaultCause::Gateway(cause).to_string();
+            assert!(text.contains(advice), "{text}");
+        }
+    }
+}
