@@ -191,3 +191,27 @@ impl LinkMonitor {
         self.counters.damaged + self.counters.mismatched
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An answer that comes after a damaged one counts as bad; a late copy does not.
+    #[test]
+    fn damaged_replies_count_although_an_answer_follows() {
+        let after = |bad: BadReply, exchanges: u32| {
+            let mut link = LinkMonitor::default();
+            for _ in 0..exchanges {
+                link.handle_bad(bad);
+                link.handle_answer(Duration::from_millis(1), None);
+            }
+            link.too_many_bad()
+        };
+        assert_eq!(
+            [BAD_TOLERATED, BAD_TOLERATED + 1].map(|n| after(BadReply::Damaged, n)),
+            [None, Some(BAD_TOLERATED + 1)]
+        );
+        assert_eq!(after(BadReply::Late, 50), None);
+        assert_eq!(after(BadReply::Mismatched, 50), None);
+    }
+}
