@@ -118,6 +118,11 @@ pub(super) const SAME_IMAGE: &str =
 pub(super) const ONLY_BLOCKS: &str = "the region shows hardly more than the blocks of the image's compression, which stay in place whatever the \
      target does: compress less, or mark a part with more contrast";
 
+/// Advice if an alias of the target may have been found.
+fn may_be_outside() -> String {
+    format!("the target may be outside the depth range; widen it ({})", Argument::DepthRange)
+}
+
 /// Cause of a low support, and remedy.
 fn cause(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVerdictConfig) -> String {
     let range = &searched.range;
@@ -130,6 +135,9 @@ fn cause(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVerdict
             range.tilt_max_rad.to_degrees(),
             Argument::TiltLimit
         );
+    }
+    if let Some(period_px) = outcome.repeats_px {
+        return format!("the texture repeats every {period_px:.0} px: {}", may_be_outside());
     }
     if outcome.unlimited.is_none_or(|found| found.share < ANY_SHARE_MIN) {
         return format!(
@@ -281,8 +289,7 @@ pub(super) fn judge(
         let evidence = format!(
             "the texture repeats every {period_px:.0} px, and only {agreeing:.0} % of the region agrees with the plane"
         );
-        let advice = format!("the target may be outside the depth range; widen it ({})", Argument::DepthRange);
-        return say(Status::Ambiguous, format!("{evidence}: {advice}"));
+        return say(Status::Ambiguous, format!("{evidence}: {}", may_be_outside()));
     }
     if let Some(second) = similar_second(outcome, limits) {
         return say(
