@@ -203,9 +203,10 @@ fn agreement(outcome: &ColdStartOutcome) -> f64 {
     agreeing / (agreeing + outcome.pixels.elsewhere).max(f64::MIN_POSITIVE)
 }
 
-/// Whether enough of the region agrees with the plane, and enough of what says anything.
+/// Whether enough of the region agrees with the plane, or less of it and enough of what says anything.
 fn is_supported(outcome: &ColdStartOutcome, limits: &DirectVerdictConfig, choice: &SurfaceChoice) -> bool {
-    support_of(&outcome.finest) >= limits.support_sure_min && agreement(outcome) >= choice.agreement_min
+    let support = support_of(&outcome.finest);
+    support >= choice.sure_area_min || support >= limits.support_sure_min && agreement(outcome) >= choice.agreement_min
 }
 
 /// Whether the region has texture but too little of it agrees with one plane for a confident estimate, or its disparities
