@@ -16,6 +16,7 @@ use super::cold_start::{COPY_SCORE_MIN, ColdStart, ColdStartConfig};
 use super::compression::{RowPair, is_of_blocks};
 use super::directions::tell;
 use super::final_plane::final_plane;
+use super::search::PlaneSearchConfig;
 use super::shape::{self, ShapePixel};
 use super::spread::{Spread, include_second};
 pub use super::surface_plane::SurfacePlane;
@@ -31,7 +32,7 @@ use pb3dp_estimation_views::colour_planes::Wanted;
 use pb3dp_estimation_views::disparity_plane::{DisparityPlane, DisparityRange, inverse_depth_from_disparity};
 use pb3dp_estimation_views::front_end::StereoFrontEnd;
 use pb3dp_estimation_views::raw_view::RawView;
-use pb3dp_estimation_views::region_pyramid::{PyramidSource, RegionPyramid};
+use pb3dp_estimation_views::region_pyramid::{PyramidSource, RegionLevel, RegionPyramid};
 
 /// Parameters of the direct method.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -237,6 +238,18 @@ impl DirectEstimator {
 
     /// The pixels of the visible surface, the distance of neighbours, and the view that they belong to.
     fn shape(&mut self, request: &EstimateRequest<'_>) -> Result<(Vec<ShapePixel>, f64, RawView), EstimationError> {
+        let (pixels, spacing_px, view) = self.matched(request, shape::AREA_MAX_PX, shape::shape_of)?;
+        shape::check_matched(&pixels)?;
+        Ok((pixels, spacing_px, view))
+    }
+
+    /// What `pixels_of` reads from the level of the region that has at most `search_area_px`, with the side of its pixels and the view.
+    fn matched<T>(
+        &mut self,
+        request: &EstimateRequest<'_>,
+        search_area_px: usize,
+        pixels_of: impl FnOnce(&RegionLevel, DisparityRange, &PlaneSearchConfig, Kernels) -> Vec<T>,
+    ) -> Result<(Vec<T>, f64, RawView), EstimationError> {
         let MarkedTarget { region, range, .. } = request.marked()?;
         let EstimateRequest { left, right, .. } = *request;
         range.validate()?;
@@ -251,7 +264,7 @@ impl DirectEstimator {
             disparity_px,
             rows: view.rows(middle_depth_m(range)),
             wanted: Wanted::Luminance,
-            search_area_px: shape::AREA_MAX_PX,
+            search_area_px,
         };
         let mut pyramid = RegionPyramid::default();
         let is_visible = !is_same_image(left, right) && pyramid.update(&self.front_end, &source);
@@ -259,12 +272,24 @@ impl DirectEstimator {
         let (pixels, spacing_px) = match is_visible {
             true => {
                 let level = &pyramid.levels()[pyramid.search_level()];
-                (shape::shape_of(level, disparity_px, search, self.front_end.kernels()), level.scale as f64)
+                (pixels_of(level, disparity_px, search, self.front_end.kernels()), level.scale as f64)
             }
             false => (Vec::new(), 1.0),
         };
-        shape::check_matched(&pixels)?;
         Ok((pixels, spacing_px, view))
+    }
+
+    /// Points of what both images show of a region, in `cam_left`, metres: few, and only where the match is clear.
+    ///
+    /// # Errors
+    /// As [`EstimationMethod::visible_surface`], but a region without a match is no error.
+    pub fn coarse_points(&mut self, request: &EstimateRequest<'_>) -> Result<Vec<Point3<f64>>, EstimationError> {
+        let (pixels, _, view) = self.matched(request, shape::COARSE_MAX_PX, shape::clear_pixels)?;
+        let point = |(at_px, disparity_px): &(Vector2<f64>, f64)| {
+            let z_m = view.depth_m(at_px, *disparity_px)?;
+            Some(Point3::from(view.turn * view.geometry.left_ray(at_px) * z_m))
+        };
+        Ok(pixels.iter().filter_map(point).collect())
     }
 
     /// The plane of the largest connected surface of a region that is no plane. `None` if the pair shows too little of it.

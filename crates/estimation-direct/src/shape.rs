@@ -12,10 +12,12 @@ use pb3dp_estimation_views::region_pyramid::RegionLevel;
 
 use super::search::aggregate::{Penalties, WinnerRules};
 use super::search::volume::LevelBox;
-use super::search::{PlaneSearch, PlaneSearchConfig};
+use super::search::{Disparities, PlaneSearch, PlaneSearchConfig};
 
 /// The shape of a larger region is computed at half the size, or less. Chosen by hand, not varied: memory and time grow with it.
 pub(super) const AREA_MAX_PX: usize = 160_000;
+/// The same for the points of a whole image in which a target is searched. Chosen by hand, not varied: an image of 640 x 480 px at an eighth.
+pub(super) const COARSE_MAX_PX: usize = 9000;
 /// Costs of changes of disparity. Larger than those of the search for planes, which collects single clear pixels. Chosen: of 9 to 64
 /// regions of each kind (non-planar, across an edge, textured, low texture, small), 0.4 to 2 % more pixels are within 1 px of the
 /// truth than with 20 and 90, and as many as with 40 and 120 within 0.5 %.
@@ -89,6 +91,27 @@ pub(super) fn shape_of(
             .extend(shown.filter_map(|((x, value), _)| Some(pixel(level, found.area, found.first, [x, y], (*value)?))));
     }
     pixels
+}
+
+/// The pixels of a region with a clear disparity, and that disparity, both in rectified pixels of the full image.
+pub(super) fn clear_pixels(
+    level: &RegionLevel,
+    range_px: DisparityRange,
+    config: &PlaneSearchConfig,
+    kernels: Kernels,
+) -> Vec<(Vector2<f64>, f64)> {
+    let mut search = PlaneSearch::default();
+    if !search.match_pixels(level, range_px, config, kernels) {
+        return Vec::new();
+    }
+    let Disparities { area, first, values } = search.disparities();
+    let at = |(i, value): (usize, &f32)| {
+        let at = Vector2::new(area.x + i % area.width, area.y + i / area.width);
+        let is_inside = level.region[at.y * level.left.window.width + at.x] != 0;
+        let disparity = (f64::from(*value) + f64::from(first)) * level.scale as f64;
+        (is_inside && value.is_finite()).then(|| (level.full_from_level(&at.map(|x| x as f64)), disparity))
+    };
+    values.iter().enumerate().filter_map(at).collect()
 }
 
 /// A disparity with its standard deviation, pixels of the level.

@@ -42,6 +42,7 @@ mod surface;
 mod target;
 mod tracker;
 mod view;
+mod visible_planes;
 
 pub use config::DirectTrackerConfig;
 pub use judge::Fit;

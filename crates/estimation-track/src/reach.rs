@@ -19,13 +19,13 @@ const SPEED_MAX_RAD_PER_S: f64 = 6.0;
 /// Closer than this to the predicted pose, a candidate need not match better than noise allows: a share of the target's radius,
 /// and of its distance from the camera. Chosen by hand, not varied: 20 mm for a square of 100 mm half a metre away. With more,
 /// background near the target is accepted; with less, a poor image loses a target that coasts.
-const NEAR_RADII: f64 = 0.3;
+pub(super) const NEAR_RADII: f64 = 0.3;
 const NEAR: f64 = 0.04;
 /// Share of the way that the prediction moves the target, by which the target may be farther from it: a prediction errs by as much
 /// as the velocity changes. Chosen by hand, not varied: half.
 const NEAR_SHARE_OF_WAY: f64 = 0.5;
 /// The same for the rotation. Chosen by hand, not varied: 9 degrees.
-const NEAR_RAD: f64 = 0.15;
+pub(super) const NEAR_RAD: f64 = 0.15;
 /// Farther away, both images must correlate with the view by at least this. Chosen by hand, not varied: with less, other
 /// texture is accepted; with more, a target in other light stays lost.
 const AFAR_CORRELATION_MIN: f64 = 0.75;
@@ -85,8 +85,7 @@ impl Sighting<'_> {
     }
 
     fn is_within_reach(&self) -> bool {
-        self.way_m <= (REACH + SPEED_MAX_PER_S * self.away_s) * self.distance_m
-            && self.turn_rad <= REACH_RAD + SPEED_MAX_RAD_PER_S * self.away_s
+        self.way_m <= reach(self.away_s) * self.distance_m && self.turn_rad <= reach_rad(self.away_s)
     }
 
     /// Whether a candidate away from the target could be mistaken for it.
@@ -106,6 +105,16 @@ impl Sighting<'_> {
             && share >= AFAR_INLIERS_MIN
             && beyond_chance(correlation, share, self.independent) >= BEYOND_CHANCE_MIN
     }
+}
+
+/// Largest distance that a lost target may have moved in this time, as a share of its distance from the camera.
+pub(super) fn reach(away_s: f64) -> f64 {
+    REACH + SPEED_MAX_PER_S * away_s
+}
+
+/// Largest angle that it may have rotated, radians.
+pub(super) fn reach_rad(away_s: f64) -> f64 {
+    REACH_RAD + SPEED_MAX_RAD_PER_S * away_s
 }
 
 /// Distance from the predicted pose within which a target of this radius and distance is near it, metres, if the prediction moves

@@ -118,8 +118,11 @@ impl Searcher {
         let mut level = level;
         if !is_coarsest && self.make_template(level - 1, surface, view, hypothesis, camera) {
             level -= 1;
-            let compare = |peak: Peak| compared(self.kernels, &self.template, &left.levels[level], peak.px);
-            best.iter_mut().for_each(|peak| *peak = peak.map(compare));
+            let plane = &left.levels[level];
+            for peak in best.iter_mut().flatten() {
+                let [columns, rows] = around(peak.px.map(|x| 2 * x), COMPARED_WITHIN_PX, plane);
+                *peak = self.best_in(plane, columns, rows).unwrap_or(*peak);
+            }
             let correlation = |peak: &Option<Peak>| peak.map_or(f32::NEG_INFINITY, |peak| peak.correlation);
             best.sort_unstable_by(|a, b| correlation(b).total_cmp(&correlation(a)));
         }
@@ -127,6 +130,46 @@ impl Searcher {
             *place = place_at(peak, level, hypothesis, left, camera);
         }
         places
+    }
+
+    /// The best position of the target in the left image within `reach_px` (columns and rows) of a pose, with its rotation and depth.
+    pub(super) fn place_near(
+        &mut self,
+        surface: &Surface,
+        view: &View,
+        pose: &Pose<CamLeft, Model>,
+        reach_px: f64,
+        (left, camera): (&CameraImages, &Camera),
+    ) -> Option<Place> {
+        let level = surface.searched_level()?;
+        let plane = &left.levels[level];
+        let side = f64::from(1_u32 << level);
+        let px = camera.project(&Point3::from(pose.translation_m()))?;
+        let origin = Vector2::new(f64::from(left.window.x), f64::from(left.window.y));
+        let at = ((px - origin).add_scalar(0.5) / side).map(|x| (x - 0.5).round());
+        let is_inside = at.x >= 0.0 && at.y >= 0.0 && at.x < plane.width as f64 && at.y < plane.height as f64;
+        if !is_inside || !self.make_template(level, surface, view, pose, camera) {
+            return None;
+        }
+        let [columns, rows] = around([at.x as usize, at.y as usize], (reach_px / side).ceil() as usize, plane);
+        let peak = self.best_in(plane, columns, rows)?;
+        place_at(peak, level, pose, left, camera)
+    }
+
+    /// The best position in some columns and rows of a level.
+    fn best_in(&mut self, plane: &TexelPlane, columns: Range<usize>, rows: Range<usize>) -> Option<Peak> {
+        let mut best: Option<Peak> = None;
+        for row in rows {
+            self.scores.clear();
+            self.scores.resize(columns.len(), -1.0);
+            score_row(self.kernels, &self.template, plane, [columns.start, row], &mut self.scores);
+            for (column, &correlation) in columns.clone().zip(&self.scores) {
+                if best.is_none_or(|best| correlation > best.correlation) {
+                    best = Some(Peak { px: [column, row], correlation });
+                }
+            }
+        }
+        best
     }
 
     fn make_template(
@@ -148,8 +191,11 @@ impl Searcher {
         for (group, view) in groups.iter().zip(view) {
             for i in (0..LANES).filter(|&i| view.valid.0[i] * group.mask.0[i] > 0.0) {
                 index += 1;
+                if index % keep_every != 0 {
+                    continue;
+                }
                 let point = frontal.transform_point(&Point3::from(group.point.map(|x| f64::from(x.0[i]))));
-                if index % keep_every != 0 || point.z < 1e-3 {
+                if point.z < 1e-3 {
                     continue;
                 }
                 let offset = [pinhole.fx * point.x / point.z / side, pinhole.fy * point.y / point.z / side];
@@ -206,23 +252,6 @@ fn take_best(scores: &mut [f32], plane: &TexelPlane) -> Option<Peak> {
 fn around(px: [usize; 2], reach: usize, plane: &TexelPlane) -> [Range<usize>; 2] {
     let range = |at: usize, length: usize| at.saturating_sub(reach)..(at + reach + 1).min(length);
     [range(px[0], plane.width), range(px[1], plane.height)]
-}
-
-/// The best position near that of a pixel of the next coarser level.
-fn compared(kernels: Kernels, template: &[TemplatePoint], plane: &TexelPlane, px: [usize; 2]) -> Peak {
-    let centre = px.map(|x| 2 * x);
-    let mut best = Peak { px: centre, correlation: -1.0 };
-    let [columns, rows] = around(centre, COMPARED_WITHIN_PX, plane);
-    for row in rows {
-        let mut scores = [-1.0; 2 * COMPARED_WITHIN_PX + 1];
-        score_row(kernels, template, plane, [columns.start, row], &mut scores[..columns.len()]);
-        for (column, correlation) in columns.clone().zip(scores) {
-            if correlation > best.correlation {
-                best = Peak { px: [column, row], correlation };
-            }
-        }
-    }
-    best
 }
 
 fn place_at(

@@ -472,6 +472,11 @@ impl Target {
         self.fit.is_a_surface(self.independent_points)
     }
 
+    /// Whether the estimate is near the expected pose.
+    pub(super) fn is_near(&self, expected: &Pose<CamLeft, Model>) -> bool {
+        self.sighting(expected).is_near()
+    }
+
     /// The estimate as a candidate, relative to the expected pose.
     fn sighting(&self, expected: &Pose<CamLeft, Model>) -> Sighting<'_> {
         let found = &self.estimate.cam_left_from_model;

@@ -194,7 +194,8 @@ impl DirectTracker {
         }
         if ending != Ending::Found {
             target.lost_frames = target.lost_frames.saturating_add(1);
-            target.away_s += passed_s(prior);
+            // Nothing limits how far a target moves in an unknown time.
+            target.away_s += step_s.unwrap_or(f64::INFINITY);
             if may_continue() {
                 let again = self.search(target, (&expected, step_s), (left, right), may_continue);
                 // The misfit at the predicted pose is more informative than a failed search elsewhere.

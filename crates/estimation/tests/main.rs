@@ -4,6 +4,7 @@
 #[path = "support/abuse.rs"]
 mod abuse;
 mod calibration_term;
+mod coming_back;
 mod common;
 mod deadline;
 mod direct_estimate;

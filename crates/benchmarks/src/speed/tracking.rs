@@ -54,7 +54,7 @@ impl Follower {
     pub fn step(&mut self, clip: &Clip) -> anyhow::Result<(Status, f64)> {
         self.frame += 1;
         let (left, right) = clip.pair(self.frame);
-        let prior = FramePrior::default();
+        let prior = FramePrior { dt_s: Some(1.0 / 30.0), ..FramePrior::default() };
         let (outcome, ms) = timed(|| {
             self.tracker.follow_into(&mut EstimateRequest::next_frame(left, right, &prior), &mut self.estimate)
         });

@@ -35,7 +35,7 @@ const USUAL_PHASE: f64 = 0.05;
 const ERROR_FRAMES: f64 = 20.0;
 /// A fit is worse than another one if its quality is below this share. Chosen: equal fits of noisy chessboards differ by up to 4 %; a
 /// twentieth of the points that shows something else is the least that is noticed.
-const WORSE: f64 = 0.9;
+pub(super) const WORSE: f64 = 0.9;
 /// Largest number of periods by which a frame corrects the pose.
 const HOPS_MAX: usize = 8;
 /// Steps per level for a displaced pose, which starts within a pixel of its best fit.
