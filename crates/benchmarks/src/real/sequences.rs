@@ -28,6 +28,11 @@ const PAGE: &str = "docs/benchmarks/sequences.md";
 const WRONG_SHARE: f64 = 0.01;
 const WRONG_DEG: f64 = 5.0;
 
+/// Frames in which the target is turned by at most this angle from the first one, and is this many times as far away: those in which a tracker
+/// with one marked pair can find it.
+const REACHABLE_DEG: f64 = 30.0;
+const REACHABLE_DISTANCES: std::ops::RangeInclusive<f64> = 0.6..=1.7;
+
 /// Options of the measurement on sequences.
 #[derive(clap::Args)]
 pub struct SequenceArgs {
@@ -96,13 +101,15 @@ fn folders(given: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-const COLUMNS: [Column<'_>; 10] = [
+const COLUMNS: [Column<'_>; 12] = [
     ("sequence", "{sequence}"),
     ("method", "{method}"),
     ("frames", "{frames}"),
     ("with a pose", "{with_pose}"),
     ("ok", "{ok}"),
     ("wrong ok", "{wrong_ok}"),
+    ("within reach", "{within_reach}"),
+    ("of them right", "{right_within_reach}"),
     ("translation mm med / p95", "{translation_m_median_p95.0*1e3:3} / {translation_m_median_p95.1*1e3:3}"),
     ("depth mm med / p95", "{depth_m_median_p95.0*1e3:3} / {depth_m_median_p95.1*1e3:3}"),
     ("rotation deg med / p95", "{rotation_rad_median_p95.0*57.29577951:3} / {rotation_rad_median_p95.1*57.29577951:3}"),
@@ -140,8 +147,13 @@ fn follow(sequence: &Sequence, truth: &[Pose<CamLeft, Model>], method: Method) -
     let first = usize::from(sequence.skew_s.first().is_some_and(|skew_s| *skew_s != 0.0));
     let errors = compare_motion(&poses[first..], &truth[first..]);
     let (mut ok, mut wrong_ok, mut depths) = (0, 0, Vec::new());
-    for ((error, pose), status) in errors.iter().zip(&poses[first..]).zip(&statuses[first..]) {
+    let (mut within_reach, mut right_within_reach) = (0, 0);
+    for (frame, ((error, pose), status)) in errors.iter().zip(&poses[first..]).zip(&statuses[first..]).enumerate() {
+        let is_later_within_reach = frame > 0 && is_within_reach(&truth[first], &truth[first + frame]);
+        within_reach += usize::from(is_later_within_reach);
         let (Some(error), Some(pose)) = (error, pose) else { continue };
+        let is_right = status.depth_is_sure() && !is_wrong(error, pose);
+        right_within_reach += usize::from(is_later_within_reach && is_right);
         ok += usize::from(*status == Status::Ok);
         wrong_ok += usize::from(*status == Status::Ok && is_wrong(error, pose));
         depths.push(error.translation_m.dot(&pose.translation_m().normalize()).abs());
@@ -155,11 +167,18 @@ fn follow(sequence: &Sequence, truth: &[Pose<CamLeft, Model>], method: Method) -
         "with_pose": summary.as_ref().map_or(0, |s| s.frames - s.without_pose),
         "ok": ok,
         "wrong_ok": wrong_ok,
+        "within_reach": within_reach,
+        "right_within_reach": right_within_reach,
         "translation_m_median_p95": two(summary.as_ref().map(|s| &s.translation_m)),
         "depth_m_median_p95": two(Statistics::of(&depths).as_ref()),
         "rotation_rad_median_p95": two(summary.as_ref().map(|s| &s.rotation_rad)),
         "ms_median": median(&millis).unwrap_or_default(),
     }))
+}
+
+fn is_within_reach(first: &Pose<CamLeft, Model>, now: &Pose<CamLeft, Model>) -> bool {
+    first.rotation().angle_to(&now.rotation()).to_degrees() <= REACHABLE_DEG
+        && REACHABLE_DISTANCES.contains(&(now.translation_m().norm() / first.translation_m().norm()))
 }
 
 fn is_wrong(error: &MotionErrors, pose: &Pose<CamLeft, Model>) -> bool {
