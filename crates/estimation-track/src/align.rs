@@ -332,7 +332,7 @@ impl Aligner {
         let mut equations = NormalEquations::empty();
         equations.add(&self.sums);
         equations.remove_patch_offsets(&self.patches[..count], estimate.patch_sigma);
-        let noise = noise_weights(&weights, &photometry.variance[2]);
+        let noise = noise_weights(&weights, &photometry.variance[2], &problem.view.noise_variance);
         let (groups, sampled) = (&problem.surface.levels[0].groups, &self.sampled[0]);
         equations.noise = symmetric(&noise_information(self.kernels, groups, sampled, &self.residuals, &noise));
         kernels::score(
